@@ -1,0 +1,82 @@
+//! What the library tells while it works: phases, progress and warnings, and the wish to stop.
+//!
+//! The library never prints. It sends [`Event`]s to the [`Monitor`] it is given; a tool shows them.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use crate::error::{Diagnostic, Error, Result};
+
+/// Something worth telling the user.
+#[derive(Clone, Debug)]
+#[non_exhaustive]
+pub enum Event {
+    /// A new phase of the work begins.
+    Phase {
+        /// Its name, lower case ("scan", "join", "render").
+        name: &'static str,
+    },
+    /// How far the current phase is.
+    Progress {
+        /// Units done.
+        done: u64,
+        /// Units in all, if known.
+        total: Option<u64>,
+        /// What a unit is ("bytes", "triangles", "tiles").
+        unit: &'static str,
+    },
+    /// Something is not as it should be, but the work goes on.
+    Warning(String),
+    /// The same, about a place in a text file.
+    Diagnostic(Diagnostic),
+}
+
+/// Where events go, and whether the work should stop.
+#[derive(Clone, Copy)]
+pub struct Monitor<'a> {
+    sink: &'a (dyn Fn(Event) + Sync),
+    stop: &'a AtomicBool,
+}
+
+static NEVER: AtomicBool = AtomicBool::new(false);
+
+impl<'a> Monitor<'a> {
+    /// Events go to `sink`; the work stops soon after `stop` becomes true.
+    pub fn new(sink: &'a (dyn Fn(Event) + Sync), stop: &'a AtomicBool) -> Self {
+        Monitor { sink, stop }
+    }
+
+    /// Drops all events and never stops.
+    pub fn silent() -> Monitor<'static> {
+        Monitor { sink: &|_| {}, stop: &NEVER }
+    }
+
+    /// Sends an event.
+    pub fn send(&self, event: Event) {
+        (self.sink)(event);
+    }
+
+    /// Announces a phase.
+    pub fn phase(&self, name: &'static str) {
+        self.send(Event::Phase { name });
+    }
+
+    /// Reports progress.
+    pub fn progress(&self, done: u64, total: Option<u64>, unit: &'static str) {
+        self.send(Event::Progress { done, total, unit });
+    }
+
+    /// Warns.
+    pub fn warn(&self, text: impl Into<String>) {
+        self.send(Event::Warning(text.into()));
+    }
+
+    /// Whether the work should stop.
+    pub fn stopped(&self) -> bool {
+        self.stop.load(Ordering::Relaxed)
+    }
+
+    /// [`Error::Interrupted`] if the work should stop.
+    pub fn check(&self) -> Result<()> {
+        if self.stopped() { Err(Error::Interrupted) } else { Ok(()) }
+    }
+}

@@ -1,0 +1,19 @@
+#![doc = include_str!("FORMAT.md")]
+
+mod checksum;
+mod header;
+mod leaf;
+mod material;
+mod node;
+mod page;
+mod validate;
+mod writer;
+
+pub use checksum::checksum;
+pub use header::{Dropped, Flags, HEADER_BYTES, Header, MAGIC, Section, SectionKind, SplitMode, VERSION};
+pub use leaf::{LEAF_MAX, Leaf, LeafUnit, encode_leaf};
+pub use material::MaterialRecord;
+pub use node::{Frame, Node, Slot};
+pub use page::{Brick, PageHeader, PageId, PageRecord, SideArrays};
+pub use validate::validate_page;
+pub use writer::{OctWriter, Top};

@@ -1,0 +1,21 @@
+//! Exact ray tracing of triangle meshes larger than memory, from an octree file that is traversed in place.
+//!
+//! See ARCHITECTURE.md for a tour, and [`format`] for the file.
+#![deny(unsafe_code)]
+
+pub mod build;
+pub mod error;
+pub mod event;
+pub mod exact;
+pub mod format;
+pub mod geometry;
+pub mod map;
+pub mod mesh;
+pub mod output;
+pub mod render;
+pub mod scene;
+pub mod shade;
+pub mod trace;
+
+pub use error::{Diagnostic, Error, Kind, Result, Severity};
+pub use event::{Event, Monitor};

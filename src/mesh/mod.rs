@@ -1,0 +1,91 @@
+//! Readers of mesh files: they stream vertices and faces, in file order, into a [`MeshSink`].
+//!
+//! A reader never holds the mesh: memory is bounded by a constant (a few read blocks), whatever the size of the file.
+
+use crate::error::Result;
+use crate::event::Monitor;
+
+/// Something that streams a mesh, once, in file order.
+pub trait TriangleSource {
+    /// Sends the whole mesh into `sink`.
+    ///
+    /// Fails at the first wrong thing in the file, unless the reader was told to be lenient.
+    fn read(&mut self, sink: &mut dyn MeshSink, monitor: Monitor<'_>) -> Result<SourceInfo>;
+
+    /// Bytes of the input, if known before it is read.
+    fn size_hint(&self) -> Option<u64>;
+}
+
+/// Where a mesh goes while it is read. Calls come in file order.
+pub trait MeshSink {
+    /// More vertex positions (the f32 values, origin subtracted; may be NaN or infinite).
+    fn positions(&mut self, positions: &[[f32; 3]]) -> Result<()>;
+    /// More texture coordinates (`vt`).
+    fn texcoords(&mut self, texcoords: &[[f32; 2]]) -> Result<()>;
+    /// More vertex normals (`vn`).
+    fn normals(&mut self, normals: &[[f32; 3]]) -> Result<()>;
+    /// More faces. They may name vertices that come later, or never (see [`FaceBatch`]).
+    fn faces(&mut self, faces: &FaceBatch) -> Result<()>;
+}
+
+/// No texture coordinate or normal at a corner.
+pub const NO_INDEX: u32 = u32::MAX;
+
+/// Faces in file order, as flat arrays.
+///
+/// Corner numbers count from 0 and are absolute (negative ones are resolved). A number may lie beyond the vertices read
+/// so far, since OBJ lets a face come before its vertices; one that is still out of range at the end of the file
+/// is an error of the reader, or, when lenient, the sink drops the face and counts it as a bad index.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct FaceBatch {
+    /// Corners of each face (3 or more), or `GAP | n`: a face that was skipped, whose fan would have had n triangles. Empty: all faces are triangles.
+    pub sizes: Vec<u32>,
+    /// Vertex number of each corner, faces one after another.
+    pub corners: Vec<u32>,
+    /// Texture coordinate number of each corner, [`NO_INDEX`] = none; empty = none at all.
+    pub texcoords: Vec<u32>,
+    /// Normal number of each corner, [`NO_INDEX`] = none; empty = none at all.
+    pub normals: Vec<u32>,
+    /// From which face (counted in this batch, gaps included) on which material number holds (0 = none, k = k-th
+    /// name of [`SourceInfo::materials`]); the first entry is face 0.
+    pub materials: Vec<(u32, u32)>,
+}
+
+impl FaceBatch {
+    /// Marks a gap in `sizes`.
+    pub const GAP: u32 = 1 << 31;
+}
+
+/// What a source knows when it has been read to its end.
+#[derive(Clone, Debug, Default)]
+pub struct SourceInfo {
+    /// Names of materials in the order of first use; face material k is `materials[k - 1]`.
+    pub materials: Vec<MaterialInfo>,
+    /// Faces with fewer than three corners, dropped by the reader.
+    pub too_few_corners: u64,
+    /// Triangles of faces that were skipped for a bad index or number (lenient only); they stand as gaps in the batches.
+    pub bad_index: u64,
+}
+
+/// A material of the mesh's MTL, `None` where the MTL does not say.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct MaterialInfo {
+    /// Its name.
+    pub name: String,
+    /// Ambient colour.
+    pub ka: Option<[f32; 3]>,
+    /// Diffuse colour.
+    pub kd: Option<[f32; 3]>,
+    /// Specular colour.
+    pub ks: Option<[f32; 3]>,
+    /// Specular exponent.
+    pub ns: Option<f32>,
+    /// Index of refraction.
+    pub ni: Option<f32>,
+    /// Opacity.
+    pub d: Option<f32>,
+    /// Illumination model.
+    pub illum: Option<u32>,
+    /// Diffuse texture, as a path that can be opened from the current folder.
+    pub map_kd: Option<std::path::PathBuf>,
+}

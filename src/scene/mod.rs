@@ -1,0 +1,197 @@
+//! The scene: what a scene file says, ready to be shaded. The language is described in the README.
+
+use std::path::PathBuf;
+
+use glam::{DAffine3, DVec3};
+
+/// Linear RGB, 0..1 for reflectances.
+pub type Color = DVec3;
+
+/// A whole scene.
+#[derive(Clone, Debug, Default)]
+pub struct Scene {
+    /// Image to write, if the scene says.
+    pub output: Option<PathBuf>,
+    /// Width and height in pixels.
+    pub size: [u32; 2],
+    /// The camera.
+    pub camera: Camera,
+    /// Where rays leave the scene.
+    pub background: Color,
+    /// Ambient intensity.
+    pub ambient: f64,
+    /// Lights.
+    pub lights: Vec<Light>,
+    /// Materials that shapes name by index.
+    pub materials: Vec<Material>,
+    /// Shapes that are not meshes, in scene order, already in world space.
+    pub shapes: Vec<Shape>,
+    /// Mesh files, each named once.
+    pub meshes: Vec<MeshFile>,
+    /// Placed meshes, in scene order.
+    pub instances: Vec<Instance>,
+    /// Samples per pixel, a square.
+    pub samples: u32,
+    /// Bounces.
+    pub depth: u32,
+    /// Meshes through the octree; else by testing every triangle.
+    pub octree: bool,
+    /// How linear light becomes stored values.
+    pub tonemap: ToneMap,
+}
+
+/// The camera as the scene describes it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Camera {
+    /// Nothing said: frame everything from a direction of our choice.
+    #[default]
+    Auto,
+    /// Look along this direction and take in all that has been placed.
+    Frame(DVec3),
+    /// Classic: eye, bottom-left corner of the image rectangle, its full bottom and left edge.
+    Rectangle {
+        /// Eye point.
+        eye: DVec3,
+        /// Bottom-left corner.
+        origin: DVec3,
+        /// Bottom edge.
+        horiz: DVec3,
+        /// Left edge.
+        vert: DVec3,
+    },
+    /// Eye, target, up, vertical field of view in degrees.
+    LookAt {
+        /// Eye point.
+        eye: DVec3,
+        /// Point looked at.
+        at: DVec3,
+        /// Up direction.
+        up: DVec3,
+        /// Vertical field of view, degrees.
+        fov: f64,
+    },
+}
+
+/// A light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Light {
+    /// Point light.
+    Point {
+        /// Where.
+        position: DVec3,
+        /// Intensity times colour.
+        color: Color,
+    },
+    /// Light from infinitely far.
+    Sun {
+        /// Direction in which its light travels.
+        direction: DVec3,
+        /// Intensity times colour.
+        color: Color,
+    },
+}
+
+/// A material of the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Ambient colour.
+    pub ambient: Color,
+    /// Diffuse colour.
+    pub diffuse: Color,
+    /// Specular colour.
+    pub specular: Color,
+    /// Weight of the local term.
+    pub local: f64,
+    /// Weight of the mirror term.
+    pub reflect: f64,
+    /// Weight of the refracted term.
+    pub transmit: f64,
+    /// Index of refraction.
+    pub ior: f64,
+    /// Blinn-Phong exponent.
+    pub shininess: f64,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Material {
+            ambient: Color::ONE,
+            diffuse: Color::ONE,
+            specular: Color::ZERO,
+            local: 1.0,
+            reflect: 0.0,
+            transmit: 0.0,
+            ior: 1.0,
+            shininess: 40.0,
+        }
+    }
+}
+
+/// A shape that is not a mesh.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Shape {
+    /// Its geometry.
+    pub geometry: Geometry,
+    /// Index into [`Scene::materials`].
+    pub material: usize,
+}
+
+/// Geometry of a shape.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Geometry {
+    /// A sphere, in its own space (see `to_world`).
+    Sphere {
+        /// Centre.
+        center: DVec3,
+        /// Radius, positive.
+        radius: f64,
+        /// Object to world; identity unless transforms were not a similarity.
+        to_world: DAffine3,
+    },
+    /// An unbounded plane.
+    Plane {
+        /// A point on it.
+        point: DVec3,
+        /// Its normal, not zero, not of unit length.
+        normal: DVec3,
+    },
+    /// A triangle, exact as f32.
+    Triangle(crate::geometry::Triangle),
+    /// A rectangle: lower-left, lower-right, upper-right, and the fourth corner ll + ur - lr rounded to f32; traced as
+    /// the triangles (ll, lr, ur) and (ll, ur, ul).
+    Rectangle([glam::Vec3; 4]),
+}
+
+/// A mesh file that the scene names.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub struct MeshFile {
+    /// Path, openable from the current folder.
+    pub path: PathBuf,
+    /// `true`: an octree file; `false`: a mesh to be built first (OBJ).
+    pub built: bool,
+}
+
+/// A mesh placed in the scene.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Instance {
+    /// Index into [`Scene::meshes`].
+    pub mesh: usize,
+    /// Index into [`Scene::materials`].
+    pub material: usize,
+    /// Object to world, invertible.
+    pub to_world: DAffine3,
+    /// Take materials from the mesh's MTL.
+    pub mtl: bool,
+    /// Shade with the mesh's vertex normals.
+    pub smooth: bool,
+}
+
+/// How linear light becomes stored values.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ToneMap {
+    /// Clamped and stored as it is.
+    #[default]
+    None,
+    /// sRGB-encoded.
+    Srgb,
+}
