@@ -53,6 +53,8 @@ pub type Corners = [[f32; 3]; 3];
 pub struct Answer {
     /// Correctly rounded t.
     pub t: f32,
+    /// Whether t is exactly that, without rounding.
+    pub t_exact: bool,
     /// The face.
     pub face: u32,
     /// Weight of the second corner, to f64 accuracy.
@@ -213,7 +215,7 @@ impl Oracle {
     fn answer(&self, ray: &OracleRay, c: &Candidate) -> Answer {
         let crossing = crossing::<Expansion>(ray, &self.corners[c.index]).flatten().expect("it was a crossing before");
         let (u, v) = crossing.barycentric();
-        Answer { t: c.t, face: self.faces[c.index], u, v }
+        Answer { t: c.t, t_exact: crossing.is_exactly(c.t), face: self.faces[c.index], u, v }
     }
 }
 

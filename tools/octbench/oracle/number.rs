@@ -165,6 +165,11 @@ impl<N: Number> Crossing<N> {
         if self.den.sign() == Some(Ordering::Less) { sign.reverse() } else { sign }
     }
 
+    /// Whether t is exactly `x`, for tiers that always tell.
+    pub fn is_exactly(&self, x: f32) -> bool {
+        self.against(x.into()) == Ordering::Equal
+    }
+
     /// The order of two exact t, for tiers that always tell.
     pub fn compare(&self, other: &Self) -> Ordering {
         let sign = self.num.mul(&other.den).sub(&other.num.mul(&self.den)).sign().expect("an exact tier");
