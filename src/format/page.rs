@@ -110,6 +110,25 @@ pub struct SideArrays {
 }
 
 impl PageHeader {
+    /// The header of no page: all zero.
+    pub(crate) const NONE: PageHeader = PageHeader {
+        page: 0,
+        nodes: 0,
+        leaf_offset: 0,
+        leaf_bytes: 0,
+        references: 0,
+        leaves: 0,
+        ids: 0,
+        materials: 0,
+        normal_corners: 0,
+        normals: 0,
+        normal_count: 0,
+        texcoord_corners: 0,
+        texcoords: 0,
+        texcoord_count: 0,
+        zero: [0; 2],
+    };
+
     /// Lays out a whole page: header, nodes, leaves, padding, side arrays. The result's length is a multiple of 64.
     ///
     /// `leaf_bytes` are the encoded leaves; `wide_materials` as in [`super::Flags::WIDE_MATERIALS`]. `None` when the
