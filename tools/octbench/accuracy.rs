@@ -17,7 +17,7 @@ use octrace::format::SplitMode;
 use octrace::geometry::{FaceId, Ray, Skip};
 use octrace::map::Octree;
 use octrace::mesh::{FaceBatch, MeshSink, SourceInfo, TriangleSource};
-use octrace::trace::{OctreeTracer, Tracer};
+use octrace::trace::{OctreeTracer, Tracer, all_hits};
 
 use crate::families::mesh::Mesh;
 use crate::families::{self, Ask, Case, Family, Layout, Maker, Probe};
@@ -290,11 +290,11 @@ fn compare_all(
     case: &Case,
     probe: &Probe,
     truth: &[Answer],
-    tracer: &OctreeTracer,
+    tracer: &dyn Tracer,
 ) -> octrace::Result<()> {
     let ray = library_ray(&probe.ray);
     let mut found = Vec::new();
-    for hit in tracer.all_hits(&ray, skip(probe)) {
+    for hit in all_hits(tracer, &ray, skip(probe)) {
         found.push(hit?.hit.face.0);
         if found.len() > truth.len() {
             break;
