@@ -87,8 +87,8 @@ fn scales_and_offsets() {
             .enumerate()
     {
         let name = format!("soup at scale {scale}, offset {offset}");
-        compare(&name, &Mesh::soup(150, 5).placed(scale, offset), 800, 10 + k as u64);
-        compare(&name, &Mesh::cube(3).placed(scale, offset), 800, 30 + k as u64);
+        compare(&name, &Mesh::soup(150, 5).placed(scale, offset), 300, 10 + k as u64);
+        compare(&name, &Mesh::cube(3).placed(scale, offset), 300, 30 + k as u64);
     }
 }
 
