@@ -116,8 +116,7 @@ impl Line {
         let [a, b, c] = [wide(triangle.a.to_array()), wide(triangle.b.to_array()), wide(triangle.c.to_array())];
         let (mut num, mut num_permanent, mut den, mut den_permanent) = (0.0, 0.0, 0.0, 0.0);
         let (e, f) = (apart(b, a), apart(c, a));
-        for i in 0..3 {
-            let (j, k) = OTHERS[i];
+        for (i, (j, k)) in OTHERS.into_iter().enumerate() {
             let (plus, minus) = (e[j] * f[k], e[k] * f[j]);
             let (n, permanent) = (plus - minus, plus.abs() + minus.abs());
             let w = a[i] - self.o[i];
@@ -165,8 +164,7 @@ impl Line {
     fn determinant(&self, p: [f32; 3], q: [f32; 3]) -> (f64, f64) {
         let (p, q) = (apart(wide(p), self.o), apart(wide(q), self.o));
         let (mut value, mut permanent) = (0.0, 0.0);
-        for i in 0..3 {
-            let (j, k) = OTHERS[i];
+        for (i, (j, k)) in OTHERS.into_iter().enumerate() {
             let (plus, minus) = (p[j] * q[k], p[k] * q[j]);
             value += (plus - minus) * self.d[i];
             permanent += (plus.abs() + minus.abs()) * self.d[i].abs();
