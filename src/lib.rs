@@ -1,6 +1,6 @@
 //! Exact ray tracing of triangle meshes larger than memory, from an octree file that is traversed in place.
 //!
-//! See ARCHITECTURE.md for a tour, and [`format`] for the file.
+//! See ARCHITECTURE.md for a tour, and [`mod@format`] for the file.
 #![deny(unsafe_code)]
 
 pub mod build;

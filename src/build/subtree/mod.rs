@@ -27,7 +27,7 @@ mod top;
 mod wide;
 
 pub use cell::{Cell, cell_of, overlaps};
-pub use top::{TopBrick, build_top};
+pub use top::{TopBrick, build_top, top_levels};
 
 use crate::format::{LeafUnit, Node, SplitMode};
 use crate::geometry::{RootCube, Triangle};

@@ -47,6 +47,22 @@ pub fn build_top(bricks: &[TopBrick]) -> (Vec<Node>, u32) {
     (nodes, depth)
 }
 
+/// For each brick, the top nodes on the path down to it.
+pub fn top_levels(nodes: &[Node], bricks: usize) -> Vec<u32> {
+    let mut of_brick = vec![0; bricks];
+    let mut of_node = vec![1; nodes.len()];
+    for (i, node) in nodes.iter().enumerate() {
+        for slot in node.slots.iter().filter_map(|&byte| Slot::decode(byte)) {
+            match slot {
+                Slot::Inner(rank) => of_node[i + node.first_child as usize + usize::from(rank)] = of_node[i] + 1,
+                Slot::Brick(rank) => of_brick[node.first_leaf as usize + usize::from(rank)] = of_node[i],
+                Slot::Leaf(_) | Slot::Empty => {}
+            }
+        }
+    }
+    of_brick
+}
+
 /// What a top node stands for.
 #[derive(Clone, Copy)]
 enum What {
@@ -208,6 +224,7 @@ mod tests {
         assert!(depth <= 22);
         let met = walk(&nodes, bricks.len());
         assert_eq!(met.iter().map(|m| m.1).max(), Some(depth));
+        assert_eq!(top_levels(&nodes, bricks.len()), met.iter().map(|m| m.1).collect::<Vec<_>>());
         for (brick, (bounds, _)) in bricks.iter().zip(met) {
             let [min, max] = brick.bounds_root.map(DVec3::from_array);
             assert!(bounds.min.cmple(min).all() && bounds.max.cmpge(max).all(), "{bounds:?} {brick:?}");
