@@ -44,6 +44,14 @@ impl Flags {
     /// A triangle may be stored several times.
     pub const REPEATS: u32 = 128;
 
+    /// All flags that version 1 knows.
+    pub const KNOWN: u32 = 255;
+
+    /// The unit of leaf offsets that the flags name.
+    pub fn leaf_unit(self) -> super::LeafUnit {
+        if self.has(Flags::LEAF_UNIT_32) { super::LeafUnit::B32 } else { super::LeafUnit::B16 }
+    }
+
     /// Whether all bits of `mask` are set.
     pub fn has(self, mask: u32) -> bool {
         self.0 & mask == mask

@@ -1,5 +1,8 @@
 #![doc = include_str!("FORMAT.md")]
 
+#[cfg(target_endian = "big")]
+compile_error!("octree files are read in place, which needs a little-endian machine");
+
 mod checksum;
 mod header;
 mod leaf;
@@ -7,13 +10,16 @@ mod material;
 mod node;
 mod page;
 mod validate;
+mod validate_top;
 mod writer;
 
 pub use checksum::checksum;
 pub use header::{Dropped, Flags, HEADER_BYTES, Header, MAGIC, Section, SectionKind, SplitMode, VERSION};
-pub use leaf::{LEAF_MAX, Leaf, LeafUnit, encode_leaf};
+pub use leaf::{Coding, LEAF_MAX, Leaf, LeafUnit, encode_leaf};
 pub use material::MaterialRecord;
-pub use node::{Frame, Node, Slot};
-pub use page::{Brick, PageHeader, PageId, PageRecord, SideArrays};
+pub use node::{DEPTH_MAX, Frame, Node, Slot};
+pub use page::{Brick, LEAF_PADDING, PAGE_HEADER_BYTES, PageHeader, PageId, PageRecord, SideArrays};
 pub use validate::validate_page;
+pub(crate) use validate_top::string_at;
+pub use validate_top::{Refusal, TopView, read_header, validate_top};
 pub use writer::{OctWriter, Top};

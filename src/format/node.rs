@@ -20,6 +20,9 @@ pub struct Node {
 
 const _: () = assert!(size_of::<Node>() == 64);
 
+/// Most nodes on a path within the top tree, and within a page.
+pub const DEPTH_MAX: u32 = 64;
+
 /// What a slot byte says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Slot {

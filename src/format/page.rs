@@ -74,6 +74,20 @@ pub struct PageHeader {
     pub zero: [u32; 2],
 }
 
+/// Bytes of the header of a page; the nodes follow.
+pub const PAGE_HEADER_BYTES: usize = 64;
+/// Zero bytes that follow the leaves, so that wide loads of the last leaf stay inside the page.
+pub const LEAF_PADDING: usize = 64;
+/// From this many references on, a page lies on a multiple of 4096 in the file.
+pub const LARGE_PAGE: u32 = 16384;
+
+impl PageRecord {
+    /// The multiple on which a page of that many references lies in the file.
+    pub fn alignment(references: u32) -> u64 {
+        if references >= LARGE_PAGE { 4096 } else { 64 }
+    }
+}
+
 const _: () = assert!(size_of::<Brick>() == 32);
 const _: () = assert!(size_of::<PageRecord>() == 32);
 const _: () = assert!(size_of::<PageHeader>() == 64);
@@ -96,10 +110,29 @@ pub struct SideArrays {
 }
 
 impl PageHeader {
+    /// The header of no page: all zero.
+    pub(crate) const NONE: PageHeader = PageHeader {
+        page: 0,
+        nodes: 0,
+        leaf_offset: 0,
+        leaf_bytes: 0,
+        references: 0,
+        leaves: 0,
+        ids: 0,
+        materials: 0,
+        normal_corners: 0,
+        normals: 0,
+        normal_count: 0,
+        texcoord_corners: 0,
+        texcoords: 0,
+        texcoord_count: 0,
+        zero: [0; 2],
+    };
+
     /// Lays out a whole page: header, nodes, leaves, padding, side arrays. The result's length is a multiple of 64.
     ///
-    /// `leaf_bytes` are the encoded leaves; `wide_materials` as in [`super::Flags::WIDE_MATERIALS`]. Errors when the
-    /// page would pass 2^32 bytes.
+    /// `leaf_bytes` are the encoded leaves; `wide_materials` as in [`super::Flags::WIDE_MATERIALS`]. `None` when the
+    /// page would pass 2^32 bytes, a side array does not have `references` entries, or a material number does not fit.
     pub fn layout(
         page: PageId,
         nodes: &[super::Node],
@@ -109,7 +142,54 @@ impl PageHeader {
         side: &SideArrays,
         wide_materials: bool,
     ) -> Option<Vec<u8>> {
-        let _ = (page, nodes, leaf_bytes, leaves, references, side, wide_materials);
-        todo!()
+        let count = references as usize;
+        let lengths = [side.ids.len(), side.materials.len(), side.normal_corners.len(), side.texcoord_corners.len()];
+        if lengths.iter().any(|&n| n != 0 && n != count) {
+            return None;
+        }
+        let narrow: Vec<u16> = match wide_materials {
+            true => Vec::new(),
+            false => side.materials.iter().map(|&m| u16::try_from(m).ok()).collect::<Option<_>>()?,
+        };
+        let mut out = vec![0; PAGE_HEADER_BYTES];
+        out.reserve(size_of_val(nodes) + leaf_bytes.len() + LEAF_PADDING + 64 + 48 * count);
+        out.extend_from_slice(bytemuck::cast_slice(nodes));
+        let mut header = PageHeader {
+            page: page.0,
+            nodes: u32::try_from(nodes.len()).ok()?,
+            leaf_offset: u32::try_from(out.len()).ok()?,
+            leaf_bytes: u32::try_from(leaf_bytes.len()).ok()?,
+            references,
+            leaves,
+            normal_count: u32::try_from(side.normals.len()).ok()?,
+            texcoord_count: u32::try_from(side.texcoords.len()).ok()?,
+            ..PageHeader::default()
+        };
+        out.extend_from_slice(leaf_bytes);
+        out.resize(out.len() + LEAF_PADDING, 0);
+        header.ids = append(&mut out, bytemuck::cast_slice(&side.ids))?;
+        header.materials = match wide_materials {
+            true => append(&mut out, bytemuck::cast_slice(&side.materials))?,
+            false => append(&mut out, bytemuck::cast_slice(&narrow))?,
+        };
+        header.normal_corners = append(&mut out, bytemuck::cast_slice(&side.normal_corners))?;
+        header.normals = append(&mut out, bytemuck::cast_slice(&side.normals))?;
+        header.texcoord_corners = append(&mut out, bytemuck::cast_slice(&side.texcoord_corners))?;
+        header.texcoords = append(&mut out, bytemuck::cast_slice(&side.texcoords))?;
+        out.resize(out.len().next_multiple_of(64), 0);
+        u32::try_from(out.len()).ok()?;
+        out[..PAGE_HEADER_BYTES].copy_from_slice(bytemuck::bytes_of(&header));
+        Some(out)
     }
+}
+
+/// Appends a side array at the next multiple of 16 and returns its offset; 0, and nothing appended, if it is empty.
+fn append(out: &mut Vec<u8>, array: &[u8]) -> Option<u32> {
+    if array.is_empty() {
+        return Some(0);
+    }
+    out.resize(out.len().next_multiple_of(16), 0);
+    let offset = u32::try_from(out.len()).ok()?;
+    out.extend_from_slice(array);
+    Some(offset)
 }

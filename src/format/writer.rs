@@ -1,15 +1,35 @@
 //! Writes an octree file page by page: to a temporary name, synced, then renamed.
+//!
+//! A killed build therefore leaves nothing that looks whole, and a failed one leaves an older file as it was. Only the page
+//! records are held in memory (32 bytes a page); pages go out as they come.
 
-use std::path::Path;
+use std::fs::File;
+use std::io::{BufWriter, Seek, SeekFrom, Write};
+use std::path::{Path, PathBuf};
 
-use super::{Brick, Header, MaterialRecord, Node, PageId, PageRecord};
-use crate::error::Result;
+use tempfile::NamedTempFile;
+
+use super::{
+    Brick, HEADER_BYTES, Header, MAGIC, MaterialRecord, Node, PageHeader, PageId, PageRecord, Section, SectionKind,
+    VERSION, checksum,
+};
+use crate::error::{Error, Result};
+
+/// Bytes gathered before they are written.
+const BUFFER_BYTES: usize = 1 << 20;
 
 /// An octree file being written.
 ///
 /// Pages are appended in order; [`OctWriter::finish`] writes the top and the header, syncs and renames. Dropped before
 /// that, it removes its temporary file and leaves an older file of that name untouched.
 pub struct OctWriter {
+    /// The name as given, for messages.
+    path: PathBuf,
+    /// The name with links resolved.
+    target: PathBuf,
+    file: BufWriter<NamedTempFile>,
+    /// Where the next byte goes.
+    position: u64,
     records: Vec<PageRecord>,
 }
 
@@ -28,14 +48,49 @@ pub struct Top<'a> {
 impl OctWriter {
     /// Begins a file that will be named `path`; the temporary file lies in the same folder.
     pub fn create(path: &Path) -> Result<OctWriter> {
-        let _ = path;
-        todo!()
+        // A link is followed, as when an ordinary file is written.
+        let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+        if target.exists() && !target.is_file() {
+            let what = "is not an ordinary file; name a file to write to".into();
+            return Err(Error::Input { file: path.to_owned(), what });
+        }
+        let mut builder = tempfile::Builder::new();
+        builder.prefix(".octrace-").suffix(".part");
+        #[cfg(unix)]
+        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)); // less the umask, as for any new file
+        let file = builder.tempfile_in(folder(&target)).map_err(Error::io(path, "create"))?;
+        let file = BufWriter::with_capacity(BUFFER_BYTES, file);
+        let mut writer = OctWriter { path: path.to_owned(), target, file, position: 0, records: Vec::new() };
+        writer.write(&[0; HEADER_BYTES])?;
+        Ok(writer)
     }
 
     /// Appends a page as laid out by [`super::PageHeader::layout`]; pages come in the order of their numbers.
     pub fn append(&mut self, page: &[u8]) -> Result<PageId> {
-        let _ = page;
-        todo!()
+        let id = PageId(self.records.len() as u32);
+        let header = page.get(..size_of::<PageHeader>()).map(bytemuck::pod_read_unaligned::<PageHeader>);
+        let Some(header) = header.filter(|h| h.page == id.0 && page.len().is_multiple_of(64)) else {
+            return Err(self.misuse(format!("page {} is not laid out as such", id.0)));
+        };
+        let Ok(bytes) = u32::try_from(page.len()) else {
+            return Err(self.misuse(format!("page {} is larger than 4 GiB; take smaller bricks", id.0)));
+        };
+        self.align(PageRecord::alignment(header.references))?;
+        let offset = self.position;
+        if u32::try_from(offset / 64 + 1).is_err() {
+            return Err(self.misuse("the file passes 256 GiB, the most that version 1 can hold".into()));
+        }
+        self.write(page)?;
+        let checksum = checksum(page);
+        self.records.push(PageRecord {
+            offset,
+            checksum,
+            stored_bytes: bytes,
+            bytes,
+            references: header.references,
+            zero: 0,
+        });
+        Ok(id)
     }
 
     /// Pages written so far.
@@ -45,8 +100,93 @@ impl OctWriter {
 
     /// Writes the top and the header, syncs, renames. The header's sizes, page count, sections and checksums are
     /// filled in here; everything else is taken from `header`. Returns the file's length.
-    pub fn finish(self, header: Header, top: Top<'_>) -> Result<u64> {
-        let _ = (header, top);
-        todo!()
+    ///
+    /// Filled in: magic, version, file bytes, pages, top nodes, materials, largest page, section directory, checksum.
+    pub fn finish(mut self, header: Header, top: Top<'_>) -> Result<u64> {
+        if top.bricks.len() != self.records.len() {
+            return Err(self.misuse(format!("{} bricks for {} pages", top.bricks.len(), self.records.len())));
+        }
+        for (brick, record) in top.bricks.iter_mut().zip(&self.records) {
+            brick.node = (record.offset / 64 + 1) as u32;
+        }
+        let records = std::mem::take(&mut self.records);
+        let mut header = Header {
+            magic: MAGIC,
+            version: VERSION,
+            pages: records.len() as u32,
+            top_nodes: top.nodes.len() as u32,
+            materials: top.materials.len() as u32,
+            largest_page: records.iter().map(|r| r.bytes).max().unwrap_or(0),
+            sections: self.write_top(&top, &records)?,
+            file_bytes: self.position,
+            ..header
+        };
+        header.checksum = checksum(&bytemuck::bytes_of(&header)[..HEADER_BYTES - 8]);
+        self.seal(&header)?;
+        Ok(header.file_bytes)
     }
+
+    /// Writes the sections and returns their directory.
+    fn write_top(&mut self, top: &Top<'_>, records: &[PageRecord]) -> Result<[Section; 16]> {
+        let sections: [(SectionKind, bool, &[u8]); 5] = [
+            (SectionKind::TopNodes, !top.nodes.is_empty(), bytemuck::cast_slice(top.nodes)),
+            (SectionKind::Bricks, true, bytemuck::cast_slice(top.bricks)),
+            (SectionKind::Pages, true, bytemuck::cast_slice(records)),
+            (SectionKind::Materials, !top.materials.is_empty(), bytemuck::cast_slice(top.materials)),
+            (SectionKind::Strings, !top.materials.is_empty(), top.strings),
+        ];
+        let mut directory = [Section::default(); 16];
+        let wanted = sections.iter().filter(|(_, wanted, _)| *wanted);
+        for (entry, (kind, _, bytes)) in directory.iter_mut().zip(wanted) {
+            self.align(64)?;
+            *entry = Section {
+                kind: *kind as u32,
+                zero: 0,
+                offset: self.position,
+                bytes: bytes.len() as u64,
+                checksum: checksum(bytes),
+            };
+            self.write(bytes)?;
+        }
+        Ok(directory)
+    }
+
+    /// Writes the header over its place, syncs, renames, syncs the folder.
+    fn seal(self, header: &Header) -> Result<()> {
+        let path = self.path;
+        let mut file = self.file.into_inner().map_err(|e| Error::io(&path, "write")(e.into_error()))?;
+        file.seek(SeekFrom::Start(0)).map_err(Error::io(&path, "write"))?;
+        file.write_all(bytemuck::bytes_of(header)).map_err(Error::io(&path, "write"))?;
+        file.as_file().sync_all().map_err(Error::io(&path, "sync"))?;
+        file.persist(&self.target).map_err(|e| Error::io(&path, "rename its temporary file to")(e.error))?;
+        sync_folder(folder(&self.target)).map_err(Error::io(&path, "sync the folder of"))
+    }
+
+    /// Writes zeros up to the next multiple.
+    fn align(&mut self, multiple: u64) -> Result<()> {
+        let gap = self.position.next_multiple_of(multiple) - self.position;
+        self.write(&[0; HEADER_BYTES][..gap as usize])
+    }
+
+    /// Appends bytes.
+    fn write(&mut self, bytes: &[u8]) -> Result<()> {
+        self.file.write_all(bytes).map_err(Error::io(&self.path, "write"))?;
+        self.position += bytes.len() as u64;
+        Ok(())
+    }
+
+    /// The error for pages that cannot be written.
+    fn misuse(&self, what: String) -> Error {
+        Error::Input { file: self.path.clone(), what }
+    }
+}
+
+/// The folder that a file lies in.
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
+/// Makes a rename in `folder` last.
+fn sync_folder(folder: &Path) -> std::io::Result<()> {
+    if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }

@@ -1,14 +1,33 @@
-//! The scene: what a scene file says, ready to be shaded. The language is described in the README.
+//! The scene: what a scene file says, ready to be shaded. docs/SCENE.md describes the language to its users.
+//!
+//! [`Scene::load`] reads a file from top to bottom, line by line: [`lexer`] cuts a line into words, [`args`] takes the
+//! words of one command as numbers and names, [`command`] holds the table of commands, and [`parser`] the state that they
+//! change. Whatever is wrong becomes a [`diagnose::Problem`] at a word; the reading goes on with the next line, so that
+//! all errors of a file are told in one go. The classic part of the language is that of a small teaching ray tracer.
+//!
+//! Nothing here opens a mesh beyond seeing that it is there, and nothing needs its bounds: what does (framing, the
+//! floor under everything) is left in the [`Scene`] as a wish that the renderer fulfils.
+
+mod args;
+mod command;
+mod diagnose;
+mod lexer;
+mod load;
+mod parser;
+mod source;
+mod suggest;
 
 use std::path::PathBuf;
 
 use glam::{DAffine3, DVec3};
 
+pub use load::LoadOptions;
+
 /// Linear RGB, 0..1 for reflectances.
 pub type Color = DVec3;
 
-/// A whole scene.
-#[derive(Clone, Debug, Default)]
+/// A whole scene. Its default is the scene of an empty file.
+#[derive(Clone, Debug, PartialEq)]
 pub struct Scene {
     /// Image to write, if the scene says.
     pub output: Option<PathBuf>,
@@ -30,6 +49,9 @@ pub struct Scene {
     pub meshes: Vec<MeshFile>,
     /// Placed meshes, in scene order.
     pub instances: Vec<Instance>,
+    /// Material (index into `materials`) of a horizontal floor that the renderer puts under all that has been placed:
+    /// a plane with normal +y at the lowest y. Only [`Scene::for_mesh`] asks for one; the language has `plane`.
+    pub floor: Option<usize>,
     /// Samples per pixel, a square.
     pub samples: u32,
     /// Bounces.
@@ -40,7 +62,29 @@ pub struct Scene {
     pub tonemap: ToneMap,
 }
 
-/// The camera as the scene describes it.
+impl Default for Scene {
+    fn default() -> Self {
+        Scene {
+            output: None,
+            size: [512, 512],
+            camera: Camera::Auto,
+            background: Color::ZERO,
+            ambient: 0.1,
+            lights: Vec::new(),
+            materials: Vec::new(),
+            shapes: Vec::new(),
+            meshes: Vec::new(),
+            instances: Vec::new(),
+            floor: None,
+            samples: 1,
+            depth: 10,
+            octree: true,
+            tonemap: ToneMap::None,
+        }
+    }
+}
+
+/// The camera as the scene describes it, in world space.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub enum Camera {
     /// Nothing said: frame everything from a direction of our choice.
