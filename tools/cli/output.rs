@@ -81,8 +81,13 @@ pub fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), Error> {
 
 /// Prints text on standard output.
 pub fn print(text: &str) -> Result<(), Error> {
+    print_bytes(text.as_bytes())
+}
+
+/// Writes data to standard output.
+pub fn print_bytes(bytes: &[u8]) -> Result<(), Error> {
     let mut out = std::io::stdout().lock();
-    out.write_all(text.as_bytes()).and_then(|()| out.flush()).map_err(Error::io("<stdout>", "write"))
+    out.write_all(bytes).and_then(|()| out.flush()).map_err(Error::io("<stdout>", "write"))
 }
 
 /// Whether something is there that is neither a file nor a folder: a device or a pipe, which must not be replaced.

@@ -7,6 +7,7 @@
 use std::collections::HashMap;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use octrace::format::MaterialRecord;
 use octrace::geometry::{Aabb, FaceId};
@@ -30,7 +31,7 @@ pub struct Extracted {
 }
 
 /// Writes a part of the mesh to `output` (`-`: standard output), and its materials to an MTL file beside it.
-pub fn extract(octree: &Octree, part: Part, output: &Path, monitor: Monitor<'_>) -> Result<Extracted> {
+pub fn extract(octree: &Arc<Octree>, part: Part, output: &Path, monitor: Monitor<'_>) -> Result<Extracted> {
     let part = match part {
         Part::All => octree.bounds(),
         Part::Box(part) => part,
@@ -53,7 +54,7 @@ pub fn extract(octree: &Octree, part: Part, output: &Path, monitor: Monitor<'_>)
 
 /// An OBJ file being written.
 struct ObjWriter<'a, W: Write> {
-    octree: &'a Octree,
+    octree: &'a Arc<Octree>,
     out: W,
     name: PathBuf,
     material: u32,
@@ -84,7 +85,7 @@ impl<const N: usize> Table<N> {
 
 impl<'a, W: Write> ObjWriter<'a, W> {
     /// Begins the file: its head and the name of its materials.
-    fn new(octree: &'a Octree, mut out: W, name: PathBuf, materials: Option<&Path>) -> Result<Self> {
+    fn new(octree: &'a Arc<Octree>, mut out: W, name: PathBuf, materials: Option<&Path>) -> Result<Self> {
         let origin = octree.header().origin;
         let mut head = "# taken out of an octree file by octinfo\n".to_owned();
         if origin != [0.0; 3] {
@@ -132,7 +133,7 @@ impl<'a, W: Write> ObjWriter<'a, W> {
         let id = |f: &Found| f.hit.face;
         let mut found: Vec<Found> = Vec::new();
         let mut end = FaceId::NONE;
-        OctreeTracer::new(self.octree).triangles_in_box(part, &mut |f| {
+        OctreeTracer::new(self.octree.clone()).triangles_in_box(part, &mut |f| {
             if id(&f) >= FaceId(least) && id(&f) < end {
                 found.push(f);
                 if found.len() == 2 * window {
@@ -143,6 +144,7 @@ impl<'a, W: Write> ObjWriter<'a, W> {
             }
             Ok(())
         })?;
+        self.octree.fault()?;
         found.sort_unstable_by_key(id);
         found.dedup_by_key(|f| id(f));
         if found.len() > window {

@@ -2,17 +2,21 @@
 
 #[path = "../cli/mod.rs"]
 mod cli;
+mod extract;
 mod report;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 
 use clap::Parser;
+use indicatif::HumanCount;
 use octrace::map::Octree;
-use octrace::Result;
+use octrace::{Error, Result};
 
-use cli::args::{Common, Part};
+use cli::args::{Common, Part, is_stdio};
 use cli::{Arguments, Session};
+use extract::extract;
 use report::Report;
 
 /// Tells what is in an octree file, checks it, and takes the mesh or a part of it out again
@@ -28,6 +32,13 @@ struct Args {
     /// Check every checksum and every rule of the format, in every page
     #[arg(long)]
     verify: bool,
+    /// Write the triangles that touch a box, or all, as OBJ in the order of their ids (needs -o)
+    #[arg(long, value_name = "all|X0,Y0,Z0,X1,Y1,Z1", value_parser = cli::args::part, allow_hyphen_values = true)]
+    #[arg(requires = "output", help_heading = "Extract")]
+    extract: Option<Part>,
+    /// The OBJ file to write; `-` is standard output. Materials go to an MTL file beside it
+    #[arg(short, long, value_name = "PART.obj", requires = "extract", help_heading = "Extract")]
+    output: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -37,6 +48,9 @@ Examples:
   octinfo bunny.oct                                   counts, bytes by part, bounds, options
   octinfo --json bunny.oct                            the same for programs
   octinfo --verify bunny.oct                          check all of it: exit code 0, or 3 if it is damaged
+  octinfo bunny.oct --extract all -o bunny.obj        the whole mesh again
+  octinfo city.oct --extract 0,0,0,100,100,50 -o block.obj
+                                                      the triangles that touch a box, in the file's frame
 ";
 
 impl Arguments for Args {
@@ -50,15 +64,29 @@ fn main() -> ExitCode {
 }
 
 fn tell(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
-    let octree = Octree::open(&args.model)?;
+    let to_stdout = args.output.as_deref().is_some_and(is_stdio);
+    if to_stdout && args.json {
+        return Err(Error::Option("--json and -o - would both write to standard output; name a file".into()));
+    }
+    let octree = Arc::new(Octree::open(&args.model)?);
     if args.verify {
         octree.verify(session.monitor())?;
     }
-    session.finish();
-    let report = Report::new(&octree, args.verify)?;
-    let text = if args.json { report.json()? } else { report.table() };
-    let _ = Part::All;
-    cli::output::print(&text)?;
+    let taken = match (args.extract, &args.output) {
+        (Some(part), Some(output)) => Some((extract(&octree, part, output, session.monitor())?, output)),
+        _ => None,
+    };
+    if let Some((taken, output)) = &taken {
+        let (triangles, vertices) = (HumanCount(taken.triangles), HumanCount(taken.vertices));
+        session.say(format!("{}: {triangles} triangles, {vertices} vertices", output.display()));
+    }
+    if args.json || taken.is_none() {
+        let report = Report::new(&octree, args.verify, session.monitor())?;
+        session.finish();
+        cli::output::print(&if args.json { report.json()? } else { report.table() })?;
+    } else if args.verify {
+        session.say(format!("{}: every checksum and every rule holds", args.model.display()));
+    }
     Ok(ExitCode::SUCCESS)
 }
 

@@ -1,12 +1,10 @@
 //! What octinfo tells about a file, as a table and as JSON.
 
 use std::fmt::Write as _;
-use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
 
-use octrace::format::{Flags, HEADER_BYTES, Header, PageHeader, SectionKind};
-use octrace::map::Octree;
-use octrace::{Error, Result};
+use octrace::format::{Flags, Header};
+use octrace::map::{self, Octree};
+use octrace::{Error, Monitor, Result};
 use serde::Serialize;
 
 use crate::cli::stats::SCHEMA;
@@ -50,17 +48,19 @@ struct Dropped {
 }
 
 /// Bytes by part; the sum is the file's length.
-#[derive(Default, Serialize)]
+#[derive(Serialize)]
 struct Parts {
-    header: u64,
-    top: u64,
     nodes: u64,
-    leaves: u64,
+    leaf_vertices: u64,
+    leaf_corners: u64,
     ids: u64,
     material_numbers: u64,
     normals: u64,
     texcoords: u64,
-    page_headers_and_padding: u64,
+    top: u64,
+    header: u64,
+    page_headers: u64,
+    padding: u64,
 }
 
 #[derive(Serialize)]
@@ -87,8 +87,8 @@ struct Options {
 }
 
 impl Report {
-    /// Reads the file's header, and the headers of all pages.
-    pub fn new(octree: &Octree, verified: bool) -> Result<Report> {
+    /// Adds everything up, which reads every page.
+    pub fn new(octree: &Octree, verified: bool, monitor: Monitor<'_>) -> Result<Report> {
         let h = octree.header();
         let d = h.dropped;
         Ok(Report {
@@ -114,7 +114,7 @@ impl Report {
             bytes: h.file_bytes,
             bytes_per_triangle: h.file_bytes as f64 / h.triangles.max(1) as f64,
             largest_page: h.largest_page,
-            by_part: parts(octree)?,
+            by_part: Parts::new(&octree.parts(monitor)?),
             bounds: Bounds { min: h.bounds_min, max: h.bounds_max },
             origin: h.origin,
             root: Root { corner: h.root_corner, log2_side: h.root_log2_side },
@@ -194,57 +194,37 @@ impl Report {
 }
 
 impl Parts {
-    fn list(&self) -> [(&'static str, u64); 9] {
+    fn new(p: &map::Parts) -> Parts {
+        Parts {
+            nodes: p.nodes,
+            leaf_vertices: p.leaf_vertices,
+            leaf_corners: p.leaf_corners,
+            ids: p.ids,
+            material_numbers: p.materials,
+            normals: p.normals,
+            texcoords: p.texcoords,
+            top: p.top,
+            header: p.header,
+            page_headers: p.page_headers,
+            padding: p.padding,
+        }
+    }
+
+    fn list(&self) -> [(&'static str, u64); 11] {
         [
             ("nodes", self.nodes),
-            ("leaves", self.leaves),
+            ("leaf vertices", self.leaf_vertices),
+            ("leaf corners", self.leaf_corners),
             ("ids", self.ids),
             ("material nos.", self.material_numbers),
             ("normals", self.normals),
             ("texcoords", self.texcoords),
             ("top", self.top),
             ("header", self.header),
-            ("page heads, gaps", self.page_headers_and_padding),
+            ("page headers", self.page_headers),
+            ("padding", self.padding),
         ]
     }
-}
-
-/// Sums the parts over the headers of all pages, without reading the pages.
-fn parts(octree: &Octree) -> Result<Parts> {
-    let h = octree.header();
-    let mut parts = Parts { header: HEADER_BYTES as u64, ..Parts::default() };
-    for section in h.sections.iter().filter(|s| s.kind != 0) {
-        match section.kind == SectionKind::TopNodes as u32 {
-            true => parts.nodes += section.bytes,
-            false => parts.top += section.bytes,
-        }
-    }
-    let path = octree.path();
-    let mut file = File::open(path).map_err(Error::io(path, "open"))?;
-    let material_bytes = if h.flags.has(Flags::WIDE_MATERIALS) { 4 } else { 2 };
-    for brick in octree.bricks() {
-        let page = read_page_header(&mut file, u64::from(brick.node).saturating_sub(1) * 64)
-            .map_err(Error::io(path, "read"))?;
-        let references = u64::from(page.references);
-        let present = |offset: u32, bytes: u64| if offset == 0 { 0 } else { bytes };
-        parts.nodes += u64::from(page.nodes) * 64;
-        parts.leaves += u64::from(page.leaf_bytes);
-        parts.ids += present(page.ids, references * 4);
-        parts.material_numbers += present(page.materials, references * material_bytes);
-        parts.normals += present(page.normal_corners, references * 12 + u64::from(page.normal_count) * 12);
-        parts.texcoords += present(page.texcoord_corners, references * 12 + u64::from(page.texcoord_count) * 8);
-    }
-    let known: u64 = parts.list().iter().map(|p| p.1).sum();
-    parts.page_headers_and_padding = h.file_bytes.saturating_sub(known);
-    Ok(parts)
-}
-
-/// The first 64 bytes of the page at `offset`. (Packed files, which have no such bytes, do not exist in version 1.)
-fn read_page_header(file: &mut File, offset: u64) -> std::io::Result<PageHeader> {
-    let mut page = PageHeader::default();
-    file.seek(SeekFrom::Start(offset))?;
-    file.read_exact(bytemuck::bytes_of_mut(&mut page))?;
-    Ok(page)
 }
 
 fn options(h: &Header) -> Options {
@@ -263,7 +243,7 @@ fn options(h: &Header) -> Options {
 }
 
 /// A number with commas between thousands.
-pub fn grouped(n: u64) -> String {
+fn grouped(n: u64) -> String {
     indicatif::HumanCount(n).to_string()
 }
 

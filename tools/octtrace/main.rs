@@ -7,6 +7,7 @@ mod stream;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
+use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Parser;
@@ -78,12 +79,12 @@ fn main() -> ExitCode {
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     args.stats.not_stdout("the hits")?;
-    let octree = Octree::open(&args.model)?;
+    let octree = Arc::new(Octree::open(&args.model)?);
     if std::io::stdin().is_terminal() {
         return Err(Error::Option("standard input is a terminal; give rays: octtrace MODEL.oct < RAYS > HITS".into()));
     }
-    let tracer = OctreeTracer::new(&octree);
-    let mut run = Run { tracer, session, work: Counters::default(), rays: 0, hits: 0 };
+    let tracer = OctreeTracer::new(octree.clone());
+    let mut run = Run { octree: &octree, tracer, session, work: Counters::default(), rays: 0, hits: 0 };
     let seconds = if args.any {
         run.all(args.repeat, 0u8, OctreeTracer::any_batch, |&blocked| blocked != 0)?
     } else {
@@ -96,20 +97,21 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
 
 /// One run of the program.
 struct Run<'a> {
-    tracer: OctreeTracer<'a>,
+    octree: &'a Octree,
+    tracer: OctreeTracer,
     session: &'a Session<'a>,
     work: Counters,
     rays: u64,
     hits: u64,
 }
 
-impl<'a> Run<'a> {
+impl Run<'_> {
     /// Answers all rays of standard input; the seconds that each repeat took.
     fn all<T: bytemuck::NoUninit>(
         &mut self,
         repeat: u32,
         blank: T,
-        trace: impl Fn(&OctreeTracer<'a>, &[Ray], &mut [T]) -> Result<Counters>,
+        trace: impl Fn(&OctreeTracer, &[Ray], &mut [T]) -> Result<Counters>,
         is_hit: impl Fn(&T) -> bool,
     ) -> Result<Vec<f64>> {
         self.session.monitor().phase("trace");
@@ -147,14 +149,16 @@ impl<'a> Run<'a> {
     /// Traces a batch; the seconds it took.
     fn time<T>(
         &mut self,
-        trace: impl Fn(&OctreeTracer<'a>, &[Ray], &mut [T]) -> Result<Counters>,
+        trace: impl Fn(&OctreeTracer, &[Ray], &mut [T]) -> Result<Counters>,
         rays: &[Ray],
         answers: &mut [T],
     ) -> Result<f64> {
         self.session.monitor().check()?;
         let start = Instant::now();
         self.work += trace(&self.tracer, rays, answers)?;
-        Ok(start.elapsed().as_secs_f64())
+        let seconds = start.elapsed().as_secs_f64();
+        self.octree.fault()?;
+        Ok(seconds)
     }
 
     fn count<T>(&mut self, answers: &[T], is_hit: impl Fn(&T) -> bool) {
