@@ -1,1 +1,2 @@
 //! build
+pub(crate) mod subtree;

@@ -1,8 +1,34 @@
-//! Rays against an octree file: closest hit, any hit, and the triangles that touch a box.
+//! Rays against an octree file: closest hit, any hit, all hits in order, and the triangles that touch a box.
+//!
+//! [`OctreeTracer`] walks the file's own bytes: the parametric octree traversal of Revelles, Ureña and Lastra (2000) in a form that
+//! never loses a cell (`setup.rs` has the argument, `octree.rs` the walk), over nodes and leaves as FORMAT.md has them. A triangle is
+//! tested by the f32 filter of [`crate::exact`] first and exactly where that is in doubt. [`LinearTracer`] tests every triangle
+//! exactly and is the reference. `arch/` holds the inner loops.
+//!
+//! Answers depend on the set of triangles alone: closest means least by (exact t, face id). What this module does not do:
+//! shading, instances, analytic shapes.
+
+mod arch;
+mod attributes;
+mod boxes;
+mod collect;
+mod linear;
+mod octree;
+mod setup;
+
+use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::format::PageId;
-use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip, Triangle};
+use crate::geometry::{Aabb, Hit, Ray, Skip, Triangle};
+
+pub use attributes::{Attributes, attributes};
+pub use boxes::{Stored, triangles_in_box};
+pub use linear::LinearTracer;
+pub use octree::OctreeTracer;
+
+/// Rays that one task of a batch takes.
+const BATCH: usize = 1024;
 
 /// A hit with where it is stored, so that attributes can be fetched.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,15 +45,104 @@ pub struct Found {
 
 /// Something that answers rays exactly: the octree, or the linear reference.
 ///
-/// Closest: the hit least by (exact t, face id) with the correctly rounded t in `[tmin, tmax]`. Both answers depend on the set of
-/// triangles alone, never on how they are stored or walked.
+/// Closest: the hit least by (exact t, face id) with the correctly rounded t in `[tmin, tmax]`. All answers depend on the set of
+/// triangles alone, never on how they are stored or walked. Invalid rays ([`Ray::is_valid`]) hit nothing. Errors: a page
+/// that is damaged, or a file cut short while in use.
 pub trait Tracer: Send + Sync {
-    /// The closest hit, leaving out `skip`.
-    fn closest(&self, ray: &Ray, skip: Skip) -> Result<Option<Found>>;
-    /// Whether anything is hit, leaving out `skip`.
-    fn any(&self, ray: &Ray, skip: Skip) -> Result<bool>;
+    /// The closest hit, leaving out `skip`; adds the work done to `counters`.
+    fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>>;
+
+    /// Whether anything is hit, leaving out `skip`; adds the work done to `counters`.
+    fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool>;
+
+    /// The first hit after `last` (a hit of the same ray) by (exact t, face id), leaving out `skip`.
+    fn next(&self, ray: &Ray, skip: Skip, last: &Found) -> Result<Option<Found>>;
+
     /// Box around all triangles.
     fn bounds(&self) -> Aabb;
+
+    /// The closest hit, leaving out `skip`.
+    fn closest(&self, ray: &Ray, skip: Skip) -> Result<Option<Found>> {
+        self.closest_counted(ray, skip, &mut Counters::default())
+    }
+
+    /// Whether anything is hit, leaving out `skip`.
+    fn any(&self, ray: &Ray, skip: Skip) -> Result<bool> {
+        self.any_counted(ray, skip, &mut Counters::default())
+    }
+
+    /// The closest hits of many rays, in parallel on rayon's current pool; `hits[i]` answers `rays[i]`.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
+        batch(rays, hits, |ray, counters| {
+            Ok(self.closest_counted(ray, Skip::NONE, counters)?.map_or(Hit::MISS, |found| found.hit))
+        })
+    }
+
+    /// Whether each of many rays hits anything, in parallel; `blocked[i]` answers `rays[i]`.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
+        batch(rays, blocked, |ray, counters| self.any_counted(ray, Skip::NONE, counters))
+    }
+}
+
+/// All hits of a ray in the order of (exact t, face id), each triangle once.
+pub fn all_hits<'a, T: Tracer + ?Sized>(tracer: &'a T, ray: &Ray, skip: Skip) -> AllHits<'a, T> {
+    AllHits { tracer, ray: *ray, skip, state: State::Fresh }
+}
+
+/// The iterator of [`all_hits`]. Ends after an error.
+pub struct AllHits<'a, T: ?Sized> {
+    tracer: &'a T,
+    ray: Ray,
+    skip: Skip,
+    state: State,
+}
+
+enum State {
+    Fresh,
+    After(Found),
+    Ended,
+}
+
+impl<T: Tracer + ?Sized> Iterator for AllHits<'_, T> {
+    type Item = Result<Found>;
+
+    fn next(&mut self) -> Option<Result<Found>> {
+        let step = match &self.state {
+            State::Fresh => self.tracer.closest(&self.ray, self.skip),
+            State::After(last) => self.tracer.next(&self.ray, self.skip, last),
+            State::Ended => return None,
+        };
+        self.state = match &step {
+            Ok(Some(found)) => State::After(*found),
+            _ => State::Ended,
+        };
+        step.transpose()
+    }
+}
+
+/// Answers rays in parallel, chunk by chunk, and sums the work.
+fn batch<A: Send>(
+    rays: &[Ray],
+    answers: &mut [A],
+    answer: impl Fn(&Ray, &mut Counters) -> Result<A> + Sync,
+) -> Result<Counters> {
+    assert_eq!(rays.len(), answers.len(), "one answer a ray");
+    rays.par_chunks(BATCH)
+        .zip(answers.par_chunks_mut(BATCH))
+        .map(|(rays, answers)| {
+            let mut counters = Counters::default();
+            for (ray, slot) in rays.iter().zip(answers) {
+                *slot = answer(ray, &mut counters)?;
+            }
+            Ok(counters)
+        })
+        .try_reduce(Counters::default, |a, b| Ok(a + b))
 }
 
 /// Work done, summed over rays; explains times.
@@ -45,9 +160,21 @@ pub struct Counters {
     pub bricks: u64,
     /// Triangles whose f32 test was in doubt and went to f64.
     pub doubts: u64,
-    /// Triangles that needed expansions.
+    /// Triangles that needed expansions to decide whether they are hit.
     pub exact: u64,
 }
 
-#[doc(hidden)]
-pub fn _unused(_: FaceId) {}
+impl std::ops::Add for Counters {
+    type Output = Counters;
+    fn add(self, other: Counters) -> Counters {
+        Counters {
+            rays: self.rays + other.rays,
+            nodes: self.nodes + other.nodes,
+            leaves: self.leaves + other.leaves,
+            triangles: self.triangles + other.triangles,
+            bricks: self.bricks + other.bricks,
+            doubts: self.doubts + other.doubts,
+            exact: self.exact + other.exact,
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! The top tree: octree cells over the bricks, 8-wide, slot = octant.
+//!
+//! Bricks are octree cells that do not overlap, so their Morton order is the order of the tree's leaves, and a cell of
+//! the tree is a range of bricks. Cells with a single occupied octant are skipped. A node names its bricks as a run of consecutive
+//! numbers; where an inner cell stands between two bricks of a node their numbers are apart, and all but the longest run
+//! get a node of their own in between.
+
+use glam::DVec3;
+
+use super::cell::{Cell, octant_of};
+use super::quantise::set_planes;
+use super::wide::Bounds;
+use crate::format::{Frame, Node, Slot};
+
+/// A brick, as the top tree sees it.
+#[derive(Clone, Copy, Debug)]
+pub struct TopBrick {
+    /// Its octree cell.
+    pub cell: Cell,
+    /// Lowest and highest corner, in root units, of what it is responsible for.
+    pub bounds_root: [[f64; 3]; 2],
+}
+
+/// The top tree over bricks in Morton order, whose cells do not overlap; and the most top nodes on a path.
+///
+/// Nodes lie breadth first; `first_leaf` holds the number of the first brick. No nodes for a single brick.
+pub fn build_top(bricks: &[TopBrick]) -> (Vec<Node>, u32) {
+    if bricks.len() < 2 {
+        return (Vec::new(), 0);
+    }
+    let top = TopBuilder { bricks, codes: bricks.iter().map(|brick| brick.cell.code()).collect() };
+    let mut nodes = vec![Node::EMPTY];
+    let mut queue = vec![Place { what: top.cell_of_range(0, bricks.len()), frame: Frame::ROOT, level: 1 }];
+    let mut position = 0;
+    // Breadth first: a node's place in the queue is its place in the file.
+    while position < queue.len() {
+        let (node, children) = top.node(&queue[position]);
+        nodes[position] = node;
+        if !children.is_empty() {
+            nodes[position].first_child = (queue.len() - position) as u32;
+        }
+        queue.extend(children);
+        nodes.resize(queue.len(), Node::EMPTY);
+        position += 1;
+    }
+    let depth = queue.iter().map(|place| place.level).max().unwrap_or(0);
+    (nodes, depth)
+}
+
+/// For each brick, the top nodes on the path down to it.
+pub fn top_levels(nodes: &[Node], bricks: usize) -> Vec<u32> {
+    let mut of_brick = vec![0; bricks];
+    let mut of_node = vec![1; nodes.len()];
+    for (i, node) in nodes.iter().enumerate() {
+        for slot in node.slots.iter().filter_map(|&byte| Slot::decode(byte)) {
+            match slot {
+                Slot::Inner(rank) => of_node[i + node.first_child as usize + usize::from(rank)] = of_node[i] + 1,
+                Slot::Brick(rank) => of_brick[node.first_leaf as usize + usize::from(rank)] = of_node[i],
+                Slot::Leaf(_) | Slot::Empty => {}
+            }
+        }
+    }
+    of_brick
+}
+
+/// What a top node stands for.
+#[derive(Clone, Copy)]
+enum What {
+    /// The bricks of that range, which lie in different octants of a cell of that level.
+    Bricks { first: usize, end: usize, level: u32 },
+    /// A single brick.
+    Single(usize),
+}
+
+struct Place {
+    what: What,
+    frame: Frame,
+    level: u32,
+}
+
+struct TopBuilder<'a> {
+    bricks: &'a [TopBrick],
+    codes: Vec<u64>,
+}
+
+impl TopBuilder<'_> {
+    /// The least cell around at least two bricks.
+    fn cell_of_range(&self, first: usize, end: usize) -> What {
+        let differing = (self.codes[first] ^ self.codes[end - 1]).max(1);
+        let level = 20 - (63 - differing.leading_zeros()) / 3;
+        What::Bricks { first, end, level }
+    }
+
+    /// The range of bricks in each octant.
+    fn octants(&self, what: What) -> [std::ops::Range<usize>; 8] {
+        match what {
+            What::Bricks { first, end, level } => {
+                let codes = &self.codes[first..end];
+                let start = |i: usize| first + codes.partition_point(|&code| octant_of(code, level) < i);
+                std::array::from_fn(|i| start(i)..start(i + 1))
+            }
+            What::Single(brick) => {
+                let octant = octant_of(self.codes[brick], self.bricks[brick].cell.level.saturating_sub(1));
+                std::array::from_fn(|i| if i == octant { brick..brick + 1 } else { 0..0 })
+            }
+        }
+    }
+
+    /// The node of a place, but for its first child, and its inner children.
+    fn node(&self, place: &Place) -> (Node, Vec<Place>) {
+        let octants = self.octants(place.what);
+        let run = longest_run(&octants);
+        let mut node = Node::EMPTY;
+        let mut children = Vec::new();
+        node.first_leaf = run.start as u32;
+        for (slot, range) in octants.into_iter().enumerate().filter(|(_, range)| !range.is_empty()) {
+            set_planes(&mut node, slot, &place.frame, self.bounds(&range));
+            let content = if range.len() == 1 && run.contains(&range.start) {
+                Slot::Brick((range.start - run.start) as u8)
+            } else {
+                let what = match range.len() {
+                    1 => What::Single(range.start),
+                    _ => self.cell_of_range(range.start, range.end),
+                };
+                children.push(Place { what, frame: place.frame.child(&node, slot), level: place.level + 1 });
+                Slot::Inner((children.len() - 1) as u8)
+            };
+            node.slots[slot] = content.encode();
+        }
+        (node, children)
+    }
+
+    /// The box of a range of bricks.
+    fn bounds(&self, range: &std::ops::Range<usize>) -> Bounds {
+        self.bricks[range.clone()].iter().fold(Bounds::EMPTY, |all, brick| {
+            let [min, max] = brick.bounds_root.map(DVec3::from_array);
+            all.union(Bounds { min, max })
+        })
+    }
+}
+
+/// The longest run of consecutive bricks that each fill an octant alone; the first of equals.
+fn longest_run(octants: &[std::ops::Range<usize>; 8]) -> std::ops::Range<usize> {
+    let (mut best, mut run) = (0..0, 0..0);
+    for octant in octants.iter().filter(|octant| octant.len() == 1) {
+        run = if octant.start == run.end && !run.is_empty() { run.start..octant.end } else { octant.clone() };
+        if run.len() > best.len() {
+            best = run.clone();
+        }
+    }
+    best
+}

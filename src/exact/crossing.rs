@@ -1,0 +1,332 @@
+//! Where a line meets a triangle: hit or miss, order along the line, t, u and v; all as in exact arithmetic.
+//!
+//! With A, B, C the corners seen from the origin o, the line along d passes the triangle iff the three edge determinants
+//!
+//! ```text
+//! U = det(d, B, C)    V = det(d, C, A)    W = det(d, A, B)        (weights of a, b, c; U + V + W = n.d)
+//! ```
+//!
+//! have one sign. Each is taken in f64 with an error bound, then in expansions. A determinant that is exactly zero (the line
+//! meets an edge's line) is resolved by perturbing the *direction* symbolically, d + (e, e^2, e^3) for an infinitely small
+//! e: its sign is that of the first non-zero component of the edge's cross product (Edelsbrunner and Mücke 1990 call this
+//! simulation of simplicity). All triangles see the same perturbed line, and the two triangles at an edge see exactly
+//! opposite determinants: so a closed surface is met exactly once at an edge or a vertex, whatever the order of corners.
+//!
+//! - n.d = 0, all determinants zero: the triangle is seen edge-on (or has no area): a miss.
+//! - All three components of an edge's cross product are zero: o lies on that edge's line, where no perturbation of the
+//!   direction helps. Then the line meets the triangle's plane in o alone: a hit with t = 0 if o lies on the edge itself (ends
+//!   included), for every triangle there; else a miss.
+//! - t = n.(a - o) / n.d is an exact quotient. It is kept as an f64 interval; order, and rounding to f32, fall back
+//!   to expansions only where the interval does not decide. t, u, v are the correctly rounded exact values of the
+//!   *unperturbed* line (u = 0 on the edge ca, and so on), zero is +0.
+//! - A t that rounds to infinity is a miss, since t = infinity says "miss".
+
+use std::cmp::Ordering;
+
+use super::expansion::{Expansion, Vector, cross, dot, exact, subtract};
+use super::predicates::U;
+use super::quotient::Quotient;
+use crate::geometry::{Ray, Triangle};
+
+/// A ray prepared for the exact test: its origin and direction (finite, not zero) as f64.
+#[derive(Clone, Copy, Debug)]
+pub struct Line {
+    /// The ray.
+    pub ray: Ray,
+    o: [f64; 3],
+    d: [f64; 3],
+}
+
+/// A line meets a triangle: hit or miss is settled, t is known to f64 accuracy and can be had exactly.
+#[derive(Clone, Copy, Debug)]
+pub struct Crossing {
+    /// The triangle.
+    pub triangle: Triangle,
+    /// An interval that holds the exact t.
+    pub depth: [f64; 2],
+}
+
+/// The outcome of a test, and whether it needed expansions.
+#[derive(Clone, Copy, Debug)]
+pub struct Decision {
+    /// Where the line meets the triangle, if it does (at any t, positive or negative).
+    pub crossing: Option<Crossing>,
+    /// Whether f64 did not suffice.
+    pub exact: bool,
+}
+
+/// The sign of one edge determinant.
+enum Edge {
+    /// Strictly positive or negative; perturbed if the last is true.
+    Sign(bool, bool),
+    /// The origin lies on the edge's line.
+    OnLine,
+}
+
+impl Line {
+    /// Prepares a ray.
+    pub fn new(ray: &Ray) -> Line {
+        Line { ray: *ray, o: ray.origin.map(f64::from), d: ray.direction.map(f64::from) }
+    }
+
+    /// Decides whether the line meets the triangle.
+    pub fn meet(&self, triangle: &Triangle) -> Decision {
+        let [a, b, c] = triangle.vertices().map(|v| v.to_array());
+        let mut exact = false;
+        let mut first = None;
+        for (p, q) in [(b, c), (c, a), (a, b)] {
+            match self.edge(p, q) {
+                Edge::Sign(positive, expanded) => {
+                    exact |= expanded;
+                    if *first.get_or_insert(positive) != positive {
+                        return Decision { crossing: None, exact };
+                    }
+                }
+                Edge::OnLine => {
+                    // On the edge's line, so on the edge iff within its box.
+                    let o = self.ray.origin;
+                    let within = (0..3).all(|i| p[i].min(q[i]) <= o[i] && o[i] <= p[i].max(q[i]));
+                    let crossing = if within { self.accepted(triangle).crossing } else { None };
+                    return Decision { crossing, exact: true };
+                }
+            }
+        }
+        let Decision { crossing, exact: expanded } = self.accepted(triangle);
+        Decision { crossing, exact: exact | expanded }
+    }
+
+    /// Where the line meets a triangle whose three determinants are known to agree in sign: only n.d = 0 can still make it a miss.
+    #[inline]
+    pub fn accepted(&self, triangle: &Triangle) -> Decision {
+        let [a, b, c] = triangle.vertices().map(|v| v.to_array().map(f64::from));
+        let (mut num, mut num_permanent, mut den, mut den_permanent) = (0.0, 0.0, 0.0, 0.0);
+        let e: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
+        let f: [f64; 3] = std::array::from_fn(|i| c[i] - a[i]);
+        for i in 0..3 {
+            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+            let (plus, minus) = (e[j] * f[k], e[k] * f[j]);
+            let (n, permanent) = (plus - minus, plus.abs() + minus.abs());
+            let w = a[i] - self.o[i];
+            num += n * w;
+            num_permanent += permanent * w.abs();
+            den += n * self.d[i];
+            den_permanent += permanent * self.d[i].abs();
+        }
+        // Roundings on a path: edges 1 + 1, product 1, subtraction 1, (w 1,) product 1, sums 2.
+        let (num_error, den_error) = (9.0 * U * num_permanent, 8.0 * U * den_permanent);
+        if den.abs() <= 2.0 * den_error {
+            return self.accepted_exact(triangle);
+        }
+        let num = if den < 0.0 { -num } else { num };
+        let (least, most) = (num - num_error, num + num_error);
+        let (small, large) = (den.abs() - den_error, den.abs() + den_error);
+        let lo = least / if least >= 0.0 { large } else { small };
+        let hi = most / if most >= 0.0 { small } else { large };
+        // Three roundings each, none of which can underflow; 2^-50 covers them.
+        const SLACK: f64 = 8.0 * U;
+        let depth = [lo - lo.abs() * SLACK, hi + hi.abs() * SLACK];
+        Decision { crossing: Some(Crossing { triangle: *triangle, depth }), exact: false }
+    }
+
+    /// The same where f64 cannot tell n.d from zero.
+    #[cold]
+    fn accepted_exact(&self, triangle: &Triangle) -> Decision {
+        let den = self.normal_dot_direction(triangle);
+        let crossing = (!den.is_zero()).then(|| {
+            let depth = Quotient::new(self.height(triangle), den).interval();
+            Crossing { triangle: *triangle, depth }
+        });
+        Decision { crossing, exact: true }
+    }
+
+    /// The sign of det(d, p - o, q - o).
+    #[inline]
+    fn edge(&self, p: [f32; 3], q: [f32; 3]) -> Edge {
+        let (value, error) = self.determinant(p, q);
+        if value.abs() > error { Edge::Sign(value > 0.0, false) } else { self.edge_exact(p, q) }
+    }
+
+    /// det(d, p - o, q - o) in f64, and a bound of its error.
+    #[inline]
+    fn determinant(&self, p: [f32; 3], q: [f32; 3]) -> (f64, f64) {
+        let p: [f64; 3] = std::array::from_fn(|i| f64::from(p[i]) - self.o[i]);
+        let q: [f64; 3] = std::array::from_fn(|i| f64::from(q[i]) - self.o[i]);
+        let (mut value, mut permanent) = (0.0, 0.0);
+        for i in 0..3 {
+            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+            let (plus, minus) = (p[j] * q[k], p[k] * q[j]);
+            value += (plus - minus) * self.d[i];
+            permanent += (plus.abs() + minus.abs()) * self.d[i].abs();
+        }
+        // Seven roundings on a path (differences 1 + 1, product 1, subtraction 1, product 1, sums 2), one for the bound's own.
+        (value, 8.0 * U * permanent)
+    }
+
+    /// The sign of det(d, p - o, q - o), exactly, zeros resolved.
+    #[cold]
+    fn edge_exact(&self, p: [f32; 3], q: [f32; 3]) -> Edge {
+        let cross = self.edge_cross(p, q);
+        let value = dot(&exact(self.ray.direction), &cross);
+        std::iter::once(&value)
+            .chain(&cross)
+            .find_map(|x| match x.sign() {
+                Ordering::Greater => Some(Edge::Sign(true, true)),
+                Ordering::Less => Some(Edge::Sign(false, true)),
+                Ordering::Equal => None,
+            })
+            .unwrap_or(Edge::OnLine)
+    }
+
+    /// (p - o) x (q - o), exactly.
+    fn edge_cross(&self, p: [f32; 3], q: [f32; 3]) -> Vector {
+        cross(&subtract(p, self.ray.origin), &subtract(q, self.ray.origin))
+    }
+
+    /// n = (b - a) x (c - a), exactly.
+    fn normal(triangle: &Triangle) -> Vector {
+        let [a, b, c] = triangle.vertices().map(|v| v.to_array());
+        cross(&subtract(b, a), &subtract(c, a))
+    }
+
+    /// n.d, exactly.
+    fn normal_dot_direction(&self, triangle: &Triangle) -> Expansion {
+        dot(&Line::normal(triangle), &exact(self.ray.direction))
+    }
+
+    /// n.(a - o), exactly.
+    fn height(&self, triangle: &Triangle) -> Expansion {
+        dot(&Line::normal(triangle), &subtract(triangle.a.to_array(), self.ray.origin))
+    }
+
+    /// The exact t of a crossing.
+    fn t(&self, triangle: &Triangle) -> Quotient {
+        Quotient::new(self.height(triangle), self.normal_dot_direction(triangle))
+    }
+
+    /// The weight det(d, p - o, q - o) / n.d, correctly rounded.
+    fn weight(&self, triangle: &Triangle, p: [f32; 3], q: [f32; 3]) -> f32 {
+        let edges = triangle.vertices().map(|v| v.to_array());
+        let [a, b, c] = edges;
+        let sum = [(b, c), (c, a), (a, b)].map(|(p, q)| self.determinant(p, q));
+        let den = sum[0].0 + sum[1].0 + sum[2].0;
+        let den_error = sum[0].1 + sum[1].1 + sum[2].1 + 4.0 * U * (sum[0].0.abs() + sum[1].0.abs() + sum[2].0.abs());
+        let (num, num_error) = self.determinant(p, q);
+        if den.abs() > 2.0 * den_error {
+            let quotient = num / den;
+            // (|num| + e) / (|den| - e') is within |q| (1 + 2 e'/|den|) + 2 e/|den| of zero, and the like; generous here.
+            let error = 2.0 * (num_error + quotient.abs() * den_error) / den.abs() + 4.0 * U * quotient.abs();
+            let (lo, hi) = ((quotient - error) as f32, (quotient + error) as f32);
+            if lo == hi {
+                return lo + 0.0;
+            }
+        }
+        let num = dot(&exact(self.ray.direction), &self.edge_cross(p, q));
+        Quotient::new(num, self.normal_dot_direction(triangle)).round() + 0.0
+    }
+}
+
+impl Crossing {
+    /// The exact order of two crossings of one line by t alone.
+    pub fn cmp(&self, other: &Crossing, line: &Line) -> Ordering {
+        if self.depth[1] < other.depth[0] {
+            Ordering::Less
+        } else if other.depth[1] < self.depth[0] {
+            Ordering::Greater
+        } else {
+            self.cmp_exact(other, line)
+        }
+    }
+
+    #[cold]
+    fn cmp_exact(&self, other: &Crossing, line: &Line) -> Ordering {
+        if self.triangle == other.triangle {
+            return Ordering::Equal;
+        }
+        line.t(&self.triangle).cmp(&line.t(&other.triangle))
+    }
+
+    /// The correctly rounded t, if it lies in the closed interval `[tmin, tmax]` and is finite.
+    #[inline]
+    pub fn t_within(&self, line: &Line) -> Option<f32> {
+        let (lo, hi) = (self.depth[0] as f32, self.depth[1] as f32);
+        if hi < line.ray.tmin || lo > line.ray.tmax {
+            return None;
+        }
+        // Adding +0 turns -0 into +0.
+        let t = if lo == hi { lo } else { line.t(&self.triangle).round() } + 0.0;
+        (line.ray.tmin <= t && t <= line.ray.tmax && t.is_finite()).then_some(t)
+    }
+
+    /// The weights of the second and the third corner, correctly rounded.
+    pub fn uv(&self, line: &Line) -> [f32; 2] {
+        let [a, b, c] = self.triangle.vertices().map(|v| v.to_array());
+        [line.weight(&self.triangle, c, a), line.weight(&self.triangle, a, b)]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn triangle(a: [f32; 3], b: [f32; 3], c: [f32; 3]) -> Triangle {
+        Triangle { a: a.into(), b: b.into(), c: c.into() }
+    }
+
+    fn hit(ray: &Ray, t: &Triangle) -> Option<(f32, [f32; 2])> {
+        let line = Line::new(ray);
+        let crossing = line.meet(t).crossing?;
+        Some((crossing.t_within(&line)?, crossing.uv(&line)))
+    }
+
+    #[test]
+    fn plain_hit_and_miss() {
+        let t = triangle([0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]);
+        assert_eq!(hit(&Ray::new([1.0, 2.0, 8.0], [0.0, 0.0, -2.0]), &t), Some((4.0, [0.25, 0.5])));
+        assert_eq!(hit(&Ray::new([3.0, 3.0, 8.0], [0.0, 0.0, -2.0]), &t), None);
+        assert_eq!(hit(&Ray::new([1.0, 2.0, 8.0], [0.0, 0.0, 2.0]), &t), None);
+        assert_eq!(hit(&Ray::new([1.0, 2.0, 8.0], [0.0, 0.0, 2.0]).between(-9.0, 0.0), &t).unwrap().0, -4.0);
+    }
+
+    #[test]
+    fn edge_is_hit_once_by_its_two_triangles() {
+        let (a, b) = ([0.0, 0.0, 0.0], [4.0, 4.0, 0.0]);
+        let (left, right) = (triangle(a, b, [0.0, 4.0, 0.0]), triangle(a, b, [4.0, 0.0, 0.0]));
+        for d in [[0.0, 0.0, -1.0], [1.0, 1.0, -4.0], [-1.0, 2.0, -4.0]] {
+            let o: [f32; 3] = std::array::from_fn(|i| [2.0, 2.0, 0.0][i] - 2.0 * d[i]);
+            let ray = Ray::new(o, d);
+            let hits: Vec<_> = [&left, &right].into_iter().filter_map(|t| hit(&ray, t)).collect();
+            assert_eq!(hits.len(), 1);
+            assert_eq!(hits[0], (2.0, [0.5, 0.0]));
+        }
+    }
+
+    #[test]
+    fn coplanar_and_flat_triangles_are_missed() {
+        let t = triangle([0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]);
+        assert_eq!(hit(&Ray::new([-1.0, 1.0, 0.0], [1.0, 0.0, 0.0]), &t), None);
+        assert_eq!(hit(&Ray::new([1.0, 1.0, 0.0], [1.0, 0.0, 0.0]), &t), None);
+        let flat = triangle([0.0; 3], [1.0, 1.0, 1.0], [2.0, 2.0, 2.0]);
+        assert_eq!(hit(&Ray::new([1.0, 1.0, 5.0], [0.0, 0.0, -1.0]), &flat), None);
+    }
+
+    #[test]
+    fn origin_on_an_edge_or_its_line() {
+        let t = triangle([0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]);
+        let from = |o| hit(&Ray::new(o, [0.5, 0.25, 1.0]), &t);
+        assert_eq!(from([1.0, 0.0, 0.0]), Some((0.0, [0.25, 0.0])));
+        assert_eq!(from([4.0, 0.0, 0.0]), Some((0.0, [1.0, 0.0])));
+        assert_eq!(from([2.0, 2.0, 0.0]), Some((0.0, [0.5, 0.5])));
+        assert_eq!(from([5.0, 0.0, 0.0]), None);
+        assert_eq!(from([-1.0, 0.0, 0.0]), None);
+        assert_eq!(hit(&Ray::new([1.0, 0.0, 0.0], [0.0, 0.0, 1.0]).between(1e-45, 1.0), &t), None);
+    }
+
+    #[test]
+    fn t_beyond_f32_is_a_miss_and_zero_is_positive() {
+        let t = triangle([0.0, 0.0, 3e38], [4.0, 0.0, 3e38], [0.0, 4.0, 3e38]);
+        assert_eq!(hit(&Ray::new([1.0, 1.0, 0.0], [0.0, 0.0, 0.5]), &t), None);
+        let ground = triangle([0.0; 3], [4.0, 0.0, 0.0], [0.0, 4.0, 0.0]);
+        let (zero, _) = hit(&Ray::new([1.0, 1.0, -1e-45], [0.0, 0.0, -4.0]).between(-1.0, 1.0), &ground).unwrap();
+        assert_eq!(zero.to_bits(), 0);
+    }
+}
