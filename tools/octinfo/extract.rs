@@ -7,12 +7,11 @@
 use std::collections::HashMap;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
 
 use octrace::format::MaterialRecord;
 use octrace::geometry::{Aabb, FaceId};
 use octrace::map::Octree;
-use octrace::trace::{Found, OctreeTracer};
+use octrace::trace::{Stored, triangles_in_box};
 use octrace::{Error, Monitor, Result};
 
 use crate::cli::args::{Part, is_stdio};
@@ -31,10 +30,10 @@ pub struct Extracted {
 }
 
 /// Writes a part of the mesh to `output` (`-`: standard output), and its materials to an MTL file beside it.
-pub fn extract(octree: &Arc<Octree>, part: Part, output: &Path, monitor: Monitor<'_>) -> Result<Extracted> {
+pub fn extract(octree: &Octree, part: Part, output: &Path, monitor: Monitor<'_>) -> Result<Extracted> {
     let part = match part {
-        Part::All => octree.bounds(),
-        Part::Box(part) => part,
+        Part::All => None,
+        Part::Box(part) => Some(part),
     };
     if is_stdio(output) {
         let out = BufWriter::with_capacity(1 << 20, std::io::stdout().lock());
@@ -54,7 +53,7 @@ pub fn extract(octree: &Arc<Octree>, part: Part, output: &Path, monitor: Monitor
 
 /// An OBJ file being written.
 struct ObjWriter<'a, W: Write> {
-    octree: &'a Arc<Octree>,
+    octree: &'a Octree,
     out: W,
     name: PathBuf,
     material: u32,
@@ -85,7 +84,7 @@ impl<const N: usize> Table<N> {
 
 impl<'a, W: Write> ObjWriter<'a, W> {
     /// Begins the file: its head and the name of its materials.
-    fn new(octree: &'a Arc<Octree>, mut out: W, name: PathBuf, materials: Option<&Path>) -> Result<Self> {
+    fn new(octree: &'a Octree, mut out: W, name: PathBuf, materials: Option<&Path>) -> Result<Self> {
         let origin = octree.header().origin;
         let mut head = "# taken out of an octree file by octinfo\n".to_owned();
         if origin != [0.0; 3] {
@@ -109,7 +108,7 @@ impl<'a, W: Write> ObjWriter<'a, W> {
     }
 
     /// Writes the triangles that touch `part`, at most `window` of them gathered at a time.
-    fn write(mut self, part: Aabb, window: usize, monitor: Monitor<'_>) -> Result<Extracted> {
+    fn write(mut self, part: Option<Aabb>, window: usize, monitor: Monitor<'_>) -> Result<Extracted> {
         monitor.phase("extract");
         let mut from = Some(0);
         while let Some(least) = from {
@@ -129,11 +128,11 @@ impl<'a, W: Write> ObjWriter<'a, W> {
     }
 
     /// The `window` triangles of least ids from `least` on, in order, and the id at which the next pass begins.
-    fn gather(&self, part: Aabb, least: u32, window: usize, monitor: Monitor<'_>) -> Result<(Vec<Found>, Option<u32>)> {
-        let id = |f: &Found| f.hit.face;
-        let mut found: Vec<Found> = Vec::new();
+    fn gather(&self, part: Option<Aabb>, least: u32, window: usize, monitor: Monitor<'_>) -> Result<(Vec<Stored>, Option<u32>)> {
+        let id = |f: &Stored| f.face;
+        let mut found: Vec<Stored> = Vec::new();
         let mut end = FaceId::NONE;
-        OctreeTracer::new(self.octree.clone()).triangles_in_box(part, &mut |f| {
+        triangles_in_box(self.octree, part, &mut |f| {
             if id(&f) >= FaceId(least) && id(&f) < end {
                 found.push(f);
                 if found.len() == 2 * window {
@@ -144,7 +143,6 @@ impl<'a, W: Write> ObjWriter<'a, W> {
             }
             Ok(())
         })?;
-        self.octree.fault()?;
         found.sort_unstable_by_key(id);
         found.dedup_by_key(|f| id(f));
         if found.len() > window {
@@ -155,7 +153,7 @@ impl<'a, W: Write> ObjWriter<'a, W> {
     }
 
     /// Writes a triangle, and before it what it is the first to use.
-    fn face(&mut self, found: &Found) -> Result<()> {
+    fn face(&mut self, found: &Stored) -> Result<()> {
         let page = self.octree.page(found.page)?;
         let material = page.material(found.reference);
         let (texcoords, normals) = (page.texcoords(found.reference), page.normals(found.reference));
@@ -164,7 +162,7 @@ impl<'a, W: Write> ObjWriter<'a, W> {
 
     fn triangle(
         &mut self,
-        found: &Found,
+        found: &Stored,
         material: u32,
         texcoords: Option<[[f32; 2]; 3]>,
         normals: Option<[[f32; 3]; 3]>,

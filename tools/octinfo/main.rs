@@ -7,7 +7,6 @@ mod report;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
 
 use clap::Parser;
 use indicatif::HumanCount;
@@ -68,7 +67,7 @@ fn tell(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if to_stdout && args.json {
         return Err(Error::Option("--json and -o - would both write to standard output; name a file".into()));
     }
-    let octree = Arc::new(Octree::open(&args.model)?);
+    let octree = Octree::open(&args.model)?;
     if args.verify {
         octree.verify(session.monitor())?;
     }

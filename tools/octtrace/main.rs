@@ -7,13 +7,12 @@ mod stream;
 use std::io::IsTerminal;
 use std::path::PathBuf;
 use std::process::ExitCode;
-use std::sync::Arc;
 use std::time::Instant;
 
 use clap::Parser;
 use octrace::geometry::{Hit, Ray};
 use octrace::map::Octree;
-use octrace::trace::{Counters, OctreeTracer};
+use octrace::trace::{Counters, OctreeTracer, Tracer};
 use octrace::{Error, Result};
 use serde::Serialize;
 
@@ -79,16 +78,16 @@ fn main() -> ExitCode {
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     args.stats.not_stdout("the hits")?;
-    let octree = Arc::new(Octree::open(&args.model)?);
+    let octree = Octree::open(&args.model)?;
     if std::io::stdin().is_terminal() {
         return Err(Error::Option("standard input is a terminal; give rays: octtrace MODEL.oct < RAYS > HITS".into()));
     }
-    let tracer = OctreeTracer::new(octree.clone());
-    let mut run = Run { octree: &octree, tracer, session, work: Counters::default(), rays: 0, hits: 0 };
+    let tracer = OctreeTracer::new(&octree);
+    let mut run = Run { tracer, session, work: Counters::default(), rays: 0, hits: 0 };
     let seconds = if args.any {
-        run.all(args.repeat, 0u8, OctreeTracer::any_batch, |&blocked| blocked != 0)?
+        run.all(args.repeat, false, Tracer::any_batch, |&blocked| blocked)?
     } else {
-        run.all(args.repeat, Hit::MISS, OctreeTracer::closest_batch, Hit::is_hit)?
+        run.all(args.repeat, Hit::MISS, Tracer::closest_batch, Hit::is_hit)?
     };
     session.finish();
     args.stats.write(&run.stats(seconds))?;
@@ -97,21 +96,20 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
 
 /// One run of the program.
 struct Run<'a> {
-    octree: &'a Octree,
-    tracer: OctreeTracer,
+    tracer: OctreeTracer<&'a Octree>,
     session: &'a Session<'a>,
     work: Counters,
     rays: u64,
     hits: u64,
 }
 
-impl Run<'_> {
+impl<'a> Run<'a> {
     /// Answers all rays of standard input; the seconds that each repeat took.
     fn all<T: bytemuck::NoUninit>(
         &mut self,
         repeat: u32,
         blank: T,
-        trace: impl Fn(&OctreeTracer, &[Ray], &mut [T]) -> Result<Counters>,
+        trace: impl Fn(&OctreeTracer<&'a Octree>, &[Ray], &mut [T]) -> Result<Counters>,
         is_hit: impl Fn(&T) -> bool,
     ) -> Result<Vec<f64>> {
         self.session.monitor().phase("trace");
@@ -149,15 +147,15 @@ impl Run<'_> {
     /// Traces a batch; the seconds it took.
     fn time<T>(
         &mut self,
-        trace: impl Fn(&OctreeTracer, &[Ray], &mut [T]) -> Result<Counters>,
+        trace: impl Fn(&OctreeTracer<&'a Octree>, &[Ray], &mut [T]) -> Result<Counters>,
         rays: &[Ray],
         answers: &mut [T],
     ) -> Result<f64> {
         self.session.monitor().check()?;
         let start = Instant::now();
-        self.work += trace(&self.tracer, rays, answers)?;
+        self.work = self.work + trace(&self.tracer, rays, answers)?;
         let seconds = start.elapsed().as_secs_f64();
-        self.octree.fault()?;
+        self.tracer.octree().fault()?;
         Ok(seconds)
     }
 
