@@ -67,9 +67,8 @@ fn mesh() -> Result<String, std::fmt::Error> {
 /// The unit sphere's grid: the north pole, the rows between, the south pole. Y is up.
 fn vertices() -> impl Iterator<Item = DVec3> {
     let [columns, rows] = MESH;
-    let between = (1..rows).flat_map(move |r| {
-        (0..columns).map(move |c| on_sphere(c as f64 / columns as f64, r as f64 / rows as f64))
-    });
+    let between = (1..rows)
+        .flat_map(move |r| (0..columns).map(move |c| on_sphere(c as f64 / columns as f64, r as f64 / rows as f64)));
     std::iter::once(DVec3::Y).chain(between).chain(std::iter::once(DVec3::NEG_Y))
 }
 

@@ -278,7 +278,7 @@ fn the_table_is_read_as_it_is_meant() {
     assert_eq!(row("build"), ["exact", "format", "geometry", "mesh"]);
     assert_eq!(row("map"), ["format"]);
     assert_eq!(row("scene"), ["geometry", "mesh"]);
-    assert_eq!(row("output"), ["render"]);
+    assert_eq!(row("output"), ["render", "scene"]);
     assert!(!table.contains_key("tools"));
     for entry in std::fs::read_dir(root().join("src")).unwrap().map(|e| e.unwrap().path()).filter(|p| p.is_dir()) {
         let name = entry.file_name().unwrap().to_string_lossy().into_owned();

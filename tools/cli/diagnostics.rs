@@ -91,7 +91,9 @@ mod tests {
 
     #[test]
     fn odd_spans_do_not_panic() {
-        for (text, span) in [("", 0..0), ("äöü", 1..2), ("abc", 2..99), ("abc", 50..60), ("a\tb\r", 2..3), ("   ", 1..2)] {
+        for (text, span) in
+            [("", 0..0), ("äöü", 1..2), ("abc", 2..99), ("abc", 50..60), ("a\tb\r", 2..3), ("   ", 1..2)]
+        {
             assert!(plain(&diagnostic(text, span)).contains("a.obj:12:"));
         }
     }

@@ -99,7 +99,9 @@ impl Tree {
     fn options(&self) -> Result<BuildOptions> {
         if self.split == Split::Sah && (self.cell.is_some() || self.depth.is_some()) {
             let flag = if self.cell.is_some() { "--cell" } else { "--depth" };
-            return Err(Error::Option(format!("{flag} says when octree cells are refined: it needs --split octree or strict")));
+            return Err(Error::Option(format!(
+                "{flag} says when octree cells are refined: it needs --split octree or strict"
+            )));
         }
         let default = BuildOptions::default();
         Ok(BuildOptions {

@@ -118,7 +118,10 @@ mod tests {
     #[test]
     fn the_line_names_what_was_dropped() {
         let mut report = BuildReport { triangles: 1234, bytes: 24680, bytes_per_triangle: 20.0, ..Default::default() };
-        assert_eq!(line("a.oct".as_ref(), &report, 0.5), "a.oct: 1,234 triangles, 24,680 bytes (20.00 a triangle), 0.50 s");
+        assert_eq!(
+            line("a.oct".as_ref(), &report, 0.5),
+            "a.oct: 1,234 triangles, 24,680 bytes (20.00 a triangle), 0.50 s"
+        );
         report.dropped.degenerate = 3;
         report.dropped.too_few_corners = 1;
         assert!(

@@ -128,7 +128,13 @@ impl<'a, W: Write> ObjWriter<'a, W> {
     }
 
     /// The `window` triangles of least ids from `least` on, in order, and the id at which the next pass begins.
-    fn gather(&self, part: Option<Aabb>, least: u32, window: usize, monitor: Monitor<'_>) -> Result<(Vec<Stored>, Option<u32>)> {
+    fn gather(
+        &self,
+        part: Option<Aabb>,
+        least: u32,
+        window: usize,
+        monitor: Monitor<'_>,
+    ) -> Result<(Vec<Stored>, Option<u32>)> {
         let id = |f: &Stored| f.face;
         let mut found: Vec<Stored> = Vec::new();
         let mut end = FaceId::NONE;

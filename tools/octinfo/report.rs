@@ -188,7 +188,9 @@ impl Report {
         let ids = if o.ids { "" } else { " --no-ids" };
         match o.split {
             "sah" => format!("--split sah --brick {} --leaf {}{ids}", o.brick, o.leaf),
-            split => format!("--split {split} --brick {} --leaf {} --cell {cell} --depth {}{ids}", o.brick, o.leaf, o.depth),
+            split => {
+                format!("--split {split} --brick {} --leaf {} --cell {cell} --depth {}{ids}", o.brick, o.leaf, o.depth)
+            }
         }
     }
 }

@@ -324,7 +324,8 @@ fn extreme_coordinates() {
     });
     check_all_modes(&numbered(denormal));
     // Flat, far from the origin, with a side that is nothing beside its place.
-    let far = (0..60u32).map(|i| triangle([[1e30, f32::from_bits(i), 0.0], [1e30, f32::from_bits(i + 2), 0.0], [1e30, 0.0, d]]));
+    let far = (0..60u32)
+        .map(|i| triangle([[1e30, f32::from_bits(i), 0.0], [1e30, f32::from_bits(i + 2), 0.0], [1e30, 0.0, d]]));
     check_all_modes(&numbered(far));
 }
 
