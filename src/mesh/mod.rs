@@ -2,8 +2,71 @@
 //!
 //! A reader never holds the mesh: memory is bounded by a constant (a few read blocks), whatever the size of the file.
 
-use crate::error::Result;
+mod input;
+pub mod mtl;
+mod obj;
+
+use std::path::Path;
+
+use crate::error::{Error, Result};
 use crate::event::Monitor;
+use input::{Codec, Input};
+
+/// How a mesh file is to be read.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReadOptions {
+    /// Skip what is wrong and count it, instead of failing at the first wrong thing.
+    pub lenient: bool,
+    /// Subtracted from every vertex, in f64, before it becomes f32. Where a coordinate's origin is zero, the f32 is
+    /// the one nearest to the decimal number in the file.
+    pub origin: [f64; 3],
+    /// Bytes of text in a block, the unit of reading and parsing; longer lines make longer blocks. See
+    /// [`ReadOptions::within`].
+    pub block: usize,
+}
+
+impl Default for ReadOptions {
+    fn default() -> Self {
+        ReadOptions { lenient: false, origin: [0.0; 3], block: 8 << 20 }
+    }
+}
+
+impl ReadOptions {
+    /// Sets the size of blocks so that reading with `threads` threads takes about `memory` bytes at most (down to
+    /// 64 KiB a block, up to 16 MiB).
+    ///
+    /// For t threads there are at most t + 4 blocks of text at a time, and the results of t + 1 of them, which may be
+    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up.
+    pub fn within(self, memory: u64, threads: usize) -> Self {
+        let blocks = 4 * threads as u64 + 8;
+        ReadOptions { block: (memory / blocks).clamp(64 << 10, 16 << 20) as usize, ..self }
+    }
+}
+
+/// Opens a mesh file for reading: `.obj`, `.obj.gz` or `.obj.zst`, and `-` for standard input (OBJ, also compressed).
+///
+/// Fails with [`Error::Input`] where the name says another format or the content is not what the name says, and with
+/// [`Error::Io`] "open" where the file cannot be opened.
+pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn TriangleSource>> {
+    let input = if path == Path::new("-") { Input::stdin() } else { Input::file(path, codec_of(path)?)? };
+    Ok(Box::new(obj::ObjSource::new(input, *options)))
+}
+
+/// Which compression the file's name promises.
+fn codec_of(path: &Path) -> Result<Option<Codec>> {
+    let name = path.file_name().map(|name| name.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+    match () {
+        _ if name.ends_with(".obj") => Ok(None),
+        _ if name.ends_with(".obj.gz") => Ok(Some(Codec::Gzip)),
+        _ if name.ends_with(".obj.zst") => Ok(Some(Codec::Zstd)),
+        _ => Err(Error::Input {
+            file: path.to_owned(),
+            what: "not a mesh format this program knows by its name; it reads .obj, .obj.gz, .obj.zst, and - for OBJ \
+                   on standard input"
+                .into(),
+        }),
+    }
+}
 
 /// Something that streams a mesh, once, in file order.
 pub trait TriangleSource {

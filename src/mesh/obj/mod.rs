@@ -1,0 +1,64 @@
+//! Streaming reader of Wavefront OBJ.
+//!
+//! A thread reads (and decompresses) the input in large blocks cut at line ends ([`block`]); the rayon pool parses
+//! several at a time, each by itself ([`parse`]); the calling thread takes the results in file order, adds what came
+//! before (counts for negative indices, line numbers, the current material) and sends them on. The number of blocks in
+//! the air is bounded, so memory is too, whatever the size of the file.
+//!
+//! Not read: curves and surfaces, points and lines, groups and smoothing groups; these are passed over in silence, like
+//! every unknown keyword.
+
+mod block;
+mod forward;
+mod line;
+mod number;
+mod parse;
+mod pipeline;
+mod place;
+mod sequel;
+
+#[cfg(test)]
+mod tests;
+
+use std::sync::atomic::Ordering;
+
+use super::input::Input;
+use super::{MeshSink, ReadOptions, SourceInfo, TriangleSource, mtl};
+use crate::error::Result;
+use crate::event::Monitor;
+use block::Blocks;
+use sequel::Sequel;
+
+/// An OBJ file, or standard input, that is to be read.
+pub(super) struct ObjSource {
+    input: Input,
+    options: ReadOptions,
+}
+
+impl ObjSource {
+    /// The input read with these options.
+    pub fn new(input: Input, options: ReadOptions) -> ObjSource {
+        ObjSource { input, options }
+    }
+}
+
+impl TriangleSource for ObjSource {
+    fn read(&mut self, sink: &mut dyn MeshSink, monitor: Monitor<'_>) -> Result<SourceInfo> {
+        let stream = self.input.start()?;
+        let (taken, size) = (stream.taken(), self.input.size());
+        let mut sequel = Sequel::new(&self.input, self.options);
+        pipeline::run(Blocks::new(stream, self.options.block), self.options.origin, monitor, &mut |text, parsed| {
+            sequel.take(text, parsed, sink, monitor)?;
+            monitor.progress(taken.load(Ordering::Relaxed), size, "bytes");
+            Ok(())
+        })?;
+        let end = sequel.finish(monitor);
+        end.forward.check(&mut self.input, &self.options, end.counts)?;
+        let materials = mtl::resolve(&self.input.folder(), &end.libraries, end.materials, monitor);
+        Ok(SourceInfo { materials, too_few_corners: end.too_few, bad_index: end.bad })
+    }
+
+    fn size_hint(&self) -> Option<u64> {
+        self.input.size()
+    }
+}
