@@ -6,8 +6,8 @@
 //! on the way up while both children's are at hand.
 //!
 //! Arithmetic is on the source's coordinates, so nothing is lost to a far-away root cube; boxes and bins in f32, areas in
-//! f64, so nothing overflows up to ±FLT_MAX. Where centres coincide (identical triangles), and below a depth that only
-//! freak meshes reach, the list is halved instead: the tree is then never deeper than 64 + 32 levels.
+//! f64, so nothing overflows up to ±FLT_MAX. Where centres coincide (identical triangles), and where an uneven split could
+//! lead past [`DEPTH_LIMIT`] (freak meshes only), the list is halved instead.
 //!
 //! The result depends on the order of `primitives` alone, which the caller makes canonical. Halves of big lists are built
 //! in parallel; nodes lie in preorder with relative links, so that joining them is appending.
@@ -24,8 +24,9 @@ use crate::geometry::{Aabb, Triangle};
 const BINS: usize = 16;
 /// Lists up to this length are not split, if one record can hold them.
 const TERMINAL: usize = 3;
-/// From here on lists are halved by their centres' median.
-const MEDIAN_DEPTH: u32 = 64;
+/// No path of the binary tree, so none of the 8-wide one, is longer: a file allows 64 nodes, of which the top tree may
+/// take 22. Over a million triangles this leaves 20 levels more than a balanced tree has.
+const DEPTH_LIMIT: u32 = 40;
 /// Lists longer than this are built as two parallel tasks.
 const PARALLEL: usize = 1 << 14;
 
@@ -210,7 +211,7 @@ impl Splitter<'_> {
     fn partition(&self, primitives: &mut [Primitive], centres: Span, depth: u32) -> usize {
         let half = primitives.len() / 2;
         let Some(binning) = Binning::new(centres, primitives.len()) else { return half };
-        if depth >= MEDIAN_DEPTH {
+        if depth + ceil_log2(primitives.len()) >= DEPTH_LIMIT {
             let extent = (centres.max - centres.min).to_array();
             let axis = (1..3).fold(0, |best, axis| if extent[axis] > extent[best] { axis } else { best });
             let key = |p: &Primitive| p.centre()[axis];
@@ -244,6 +245,11 @@ impl Splitter<'_> {
         }
         best.1
     }
+}
+
+/// Levels of a balanced tree over so many.
+fn ceil_log2(count: usize) -> u32 {
+    count.next_power_of_two().trailing_zeros()
 }
 
 /// The box of the primitives and the box of their centres.

@@ -150,3 +150,134 @@ fn longest_run(octants: &[std::ops::Range<usize>; 8]) -> std::ops::Range<usize> 
     }
     best
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// A brick that fills part of its cell, and a little beside it as bricks of whole triangles do.
+    fn brick(cell: Cell) -> TopBrick {
+        let Bounds { min, max } = cell.bounds();
+        let reach = 0.3 * (max - min);
+        let inside = Bounds { min: DVec3::splat(0.01), max: DVec3::splat(0.99) };
+        let bounds = Bounds { min: min + reach, max: max + reach }.clipped_to(inside);
+        TopBrick { cell, bounds_root: bounds.corners() }
+    }
+
+    /// Cells of an octree, in Morton order: `splits` says at each turn which leaf to split, and which octants live on.
+    fn octree(splits: &[(usize, u8)]) -> Vec<TopBrick> {
+        let mut cells = vec![Cell::ROOT];
+        for &(which, octants) in splits {
+            let i = which % cells.len();
+            if cells[i].level < 21 && octants != 0 {
+                let parent = cells[i];
+                cells.splice(i..=i, (0..8).filter(|o| octants >> o & 1 != 0).map(|o| parent.child(o)));
+            }
+        }
+        cells.into_iter().map(brick).collect()
+    }
+
+    /// Walks a top tree by the rules of FORMAT.md; the box and level at which each brick is met.
+    fn walk(nodes: &[Node], bricks: usize) -> Vec<(Bounds, u32)> {
+        let mut met = vec![None; bricks];
+        let mut reached = 0;
+        let mut stack = vec![(0usize, Frame::ROOT, Bounds { min: DVec3::ZERO, max: DVec3::ONE }, 1)];
+        while let Some((i, frame, outer, level)) = stack.pop() {
+            reached += 1;
+            let node = &nodes[i];
+            let (mut inner, mut brick) = (0, 0);
+            for slot in 0..8 {
+                let plane = |q: &[[u8; 8]; 3]| {
+                    DVec3::from_array([0, 1, 2].map(|a| frame.corner[a] + f64::from(q[a][slot]) * frame.unit[a]))
+                };
+                let bounds = Bounds { min: plane(&node.low).max(outer.min), max: plane(&node.high).min(outer.max) };
+                match Slot::decode(node.slots[slot]).unwrap() {
+                    Slot::Empty => {}
+                    Slot::Inner(rank) => {
+                        assert_eq!(rank, inner, "inner children lie side by side in slot order");
+                        let child = i + node.first_child as usize + usize::from(rank);
+                        stack.push((child, frame.child(node, slot), bounds, level + 1));
+                        inner += 1;
+                    }
+                    Slot::Brick(rank) => {
+                        assert_eq!(rank, brick, "bricks lie side by side in slot order");
+                        let number = node.first_leaf as usize + usize::from(rank);
+                        assert!(met[number].replace((bounds, level)).is_none(), "met once");
+                        brick += 1;
+                    }
+                    Slot::Leaf(_) => panic!("a leaf in the top"),
+                }
+            }
+            assert!(inner + brick > 0);
+        }
+        assert_eq!(reached, nodes.len());
+        met.into_iter().map(|m| m.expect("every brick is met")).collect()
+    }
+
+    fn check(bricks: &[TopBrick]) {
+        let (nodes, depth) = build_top(bricks);
+        if bricks.len() < 2 {
+            assert_eq!((nodes.len(), depth), (0, 0));
+            return;
+        }
+        assert!(depth <= 22);
+        let met = walk(&nodes, bricks.len());
+        assert_eq!(met.iter().map(|m| m.1).max(), Some(depth));
+        assert_eq!(top_levels(&nodes, bricks.len()), met.iter().map(|m| m.1).collect::<Vec<_>>());
+        for (brick, (bounds, _)) in bricks.iter().zip(met) {
+            let [min, max] = brick.bounds_root.map(DVec3::from_array);
+            assert!(bounds.min.cmple(min).all() && bounds.max.cmpge(max).all(), "{bounds:?} {brick:?}");
+        }
+    }
+
+    #[test]
+    fn eight_octants_are_one_node_with_octants_as_slots() {
+        let bricks = octree(&[(0, 0b1111_1111)]);
+        let (nodes, depth) = build_top(&bricks);
+        assert_eq!((nodes.len(), depth), (1, 1));
+        assert_eq!(nodes[0].slots, std::array::from_fn(|i| 0xc0 | i as u8));
+        let (nodes, _) = build_top(&octree(&[(0, 0b1000_0010)]));
+        assert_eq!(nodes[0].slots, [0x7f, 0xc0, 0x7f, 0x7f, 0x7f, 0x7f, 0x7f, 0xc1]);
+    }
+
+    #[test]
+    fn chains_are_skipped() {
+        let mut splits = vec![(0, 0b0000_1000); 15];
+        splits.push((0, 0b0100_0001));
+        let (nodes, depth) = build_top(&octree(&splits));
+        assert_eq!((nodes.len(), depth), (1, 1));
+        assert_eq!(nodes[0].slots, [0xc0, 0x7f, 0x7f, 0x7f, 0x7f, 0x7f, 0xc1, 0x7f]);
+    }
+
+    #[test]
+    fn bricks_apart_get_a_node_in_between() {
+        // Octants 0, 1 and 7 are bricks, octant 4 is split: bricks 0, 1, (2..10), 10.
+        let bricks = octree(&[(0, 0b1001_0011), (2, 0b1111_1111)]);
+        let (nodes, depth) = build_top(&bricks);
+        assert_eq!((nodes.len(), depth), (3, 2));
+        assert_eq!(nodes[0].slots, [0xc0, 0xc1, 0x7f, 0x7f, 0x80, 0x7f, 0x7f, 0x81]);
+        assert_eq!(nodes[2].first_leaf, 10);
+        check(&bricks);
+    }
+
+    #[test]
+    fn the_least_cells() {
+        let mut splits = vec![(0, 0b0000_0001); 20];
+        splits.push((0, 0b1111_1111));
+        check(&octree(&splits));
+        splits.extend([(7, 1), (3, 255)]);
+        check(&octree(&splits));
+        // One small and one large neighbour at every level.
+        check(&octree(&[(0usize, 0b1000_0001u8); 21]));
+        check(&octree(&[(0usize, 0b1001_0101u8); 21]));
+        check(&octree(&[]));
+    }
+
+    proptest! {
+        #[test]
+        fn any_octree(splits in prop::collection::vec((any::<usize>(), any::<u8>()), 1..60)) {
+            check(&octree(&splits));
+        }
+    }
+}
