@@ -4,7 +4,7 @@
 //! Set `OCTRACE_DATA` to a folder with larger meshes to have these compared too.
 
 use std::fs;
-use std::io::{Cursor, Read};
+use std::io::{Cursor, Read, Write};
 use std::path::{Path, PathBuf};
 
 use octrace::mesh::{self, FaceBatch, MeshSink, NO_INDEX, ReadOptions, SourceInfo};
@@ -127,6 +127,40 @@ fn real_meshes_read_as_tobj_reads_them() {
             false => println!("skipped: {}", path.display()),
         }
     }
+}
+
+/// Reads `-` in a process of its own: this test, run again with another standard input.
+#[test]
+fn standard_input_is_read_plain_and_compressed() {
+    const CHILD: &str = "OCTRACE_TEST_READS_STDIN";
+    if std::env::var_os(CHILD).is_some() {
+        let (mut mesh, options) = (Mesh::default(), ReadOptions { block: 64, ..Default::default() });
+        let read = mesh::open(Path::new("-"), &options).unwrap().read(&mut mesh, Monitor::silent());
+        let end = read.map_or_else(|error| error.to_string(), |_| "read to its end".into());
+        println!("{} vertices, {} faces, {end}", mesh.positions.len(), mesh.faces.len());
+        return;
+    }
+    let said = |input: &[u8]| -> String {
+        let mut child = assert_cmd::Command::new(std::env::current_exe().unwrap());
+        let name = "standard_input_is_read_plain_and_compressed";
+        let out = child.args(["--exact", name, "--nocapture"]).env(CHILD, "1").write_stdin(input).output().unwrap();
+        String::from_utf8_lossy(&out.stdout)
+            .lines()
+            .find(|line| line.contains(" vertices, "))
+            .unwrap_or("nothing")
+            .to_owned()
+    };
+    let text = fs::read(small("styles.obj")).unwrap();
+    let (mesh, _) = read(&small("styles.obj"), 8 << 20);
+    let whole = format!("{} vertices, {} faces, read to its end", mesh.positions.len(), mesh.faces.len());
+    let mut gzip = flate2::write::GzEncoder::new(Vec::new(), flate2::Compression::fast());
+    gzip.write_all(&text).unwrap();
+    assert!(said(&text).ends_with(&whole), "{}", said(&text));
+    assert!(said(&gzip.finish().unwrap()).ends_with(&whole));
+    assert!(said(&zstd::encode_all(&text[..], 1).unwrap()).ends_with(&whole));
+    let wrong = "<stdin>:2:3: vertex 4 does not exist: the file has only 3 vertices: `f 4 1 2`";
+    let forward = format!("f 1 2 3\nf 4 1 2\n{}v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 9 3\n", "# comment\n".repeat(20));
+    assert!(said(forward.as_bytes()).ends_with(wrong), "{}", said(forward.as_bytes()));
 }
 
 /// How a random mesh is printed; each number picks among the ways where there are several.
