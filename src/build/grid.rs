@@ -1,0 +1,214 @@
+//! The third phase: triangles are counted in a grid of octree cells, and cells are merged into chunks.
+//!
+//! A *unit* is an octree cell of at most a chunk's triangles whose parent has more (or a cell at the grid's finest level).
+//! A *chunk* is a run of units, one after the other on the Morton curve, that fit in memory together. Since every cell above a
+//! unit holds more than a chunk, and so more than a brick, may, bricks never reach across units.
+
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use crate::format::SplitMode;
+use crate::geometry::{RootCube, Triangle, morton};
+
+use super::subtree::{Cell, cell_of, overlaps};
+
+/// An octree cell as a level and its number on the level's Morton curve.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct CellCode {
+    pub level: u32,
+    pub code: u64,
+}
+
+impl CellCode {
+    pub const ROOT: CellCode = CellCode { level: 0, code: 0 };
+
+    pub fn cell(self) -> Cell {
+        Cell { level: self.level, index: morton::decode(self.code) }
+    }
+
+    pub fn octant(self, octant: u64) -> CellCode {
+        CellCode { level: self.level + 1, code: self.code << 3 | octant }
+    }
+
+    /// The first code of the finest level in the cell.
+    pub fn first(self) -> u64 {
+        self.code << (3 * (morton::BITS - self.level))
+    }
+
+    /// The code after the last of the finest level in the cell.
+    pub fn end(self) -> u64 {
+        (self.code + 1) << (3 * (morton::BITS - self.level))
+    }
+}
+
+/// How triangles belong to cells: by one point of theirs, or in every cell they overlap.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Placement {
+    pub root: RootCube,
+    pub split: SplitMode,
+}
+
+impl Placement {
+    /// Whether a triangle may belong to several cells.
+    pub fn repeats(self) -> bool {
+        self.split == SplitMode::Strict
+    }
+
+    /// Calls `visit` for `from` and the cells below it that the triangle belongs to, parents first; a cell is gone into
+    /// if `visit` says so. The triangle must belong to `from`.
+    pub fn descend(self, triangle: &Triangle, from: CellCode, visit: &mut impl FnMut(CellCode) -> bool) {
+        if self.repeats() {
+            self.descend_overlaps(triangle, from, visit);
+        } else {
+            let code = cell_of(self.root, triangle);
+            let at = |level: u32| CellCode { level, code: code >> (3 * (morton::BITS - level)) };
+            let _ = (from.level..=morton::BITS).all(|level| visit(at(level)));
+        }
+    }
+
+    fn descend_overlaps(self, triangle: &Triangle, cell: CellCode, visit: &mut impl FnMut(CellCode) -> bool) {
+        if !visit(cell) || cell.level == morton::BITS {
+            return;
+        }
+        for child in (0..8).map(|octant| cell.octant(octant)) {
+            if overlaps(self.root, child.cell(), triangle) {
+                self.descend_overlaps(triangle, child, visit);
+            }
+        }
+    }
+}
+
+/// Counts of triangles in all cells of a few levels below a cell. Threads count together.
+pub(super) struct Grid {
+    from: CellCode,
+    /// `levels[l]` has 8^l counts.
+    levels: Vec<Vec<AtomicU32>>,
+}
+
+impl Grid {
+    /// All zero, from the level of `from` down to `finest`.
+    pub fn new(from: CellCode, finest: u32) -> Grid {
+        let zeros = |level: u32| std::iter::repeat_with(AtomicU32::default).take(1 << (3 * level)).collect();
+        Grid { from, levels: (0..=finest - from.level).map(zeros).collect() }
+    }
+
+    /// Counts a triangle in every cell it belongs to.
+    pub fn count(&self, triangle: &Triangle, placement: Placement) {
+        let finest = self.from.level + self.levels.len() as u32 - 1;
+        placement.descend(triangle, self.from, &mut |cell| {
+            self.counter(cell).fetch_add(1, Ordering::Relaxed);
+            cell.level < finest
+        });
+    }
+
+    fn counter(&self, cell: CellCode) -> &AtomicU32 {
+        let depth = cell.level - self.from.level;
+        &self.levels[depth as usize][(cell.code & ((1 << (3 * depth)) - 1)) as usize]
+    }
+
+    /// The units, in the order of the curve, for chunks of at most `limit` triangles.
+    pub fn units(&self, limit: u64) -> Vec<Unit> {
+        let mut units = Vec::new();
+        self.collect(self.from, limit, &mut units);
+        units
+    }
+
+    fn collect(&self, cell: CellCode, limit: u64, units: &mut Vec<Unit>) {
+        let triangles = u64::from(self.counter(cell).load(Ordering::Relaxed));
+        let finest = cell.level - self.from.level + 1 == self.levels.len() as u32;
+        if triangles == 0 {
+        } else if triangles <= limit || finest {
+            units.push(Unit { cell, triangles });
+        } else {
+            (0..8).for_each(|octant| self.collect(cell.octant(octant), limit, units));
+        }
+    }
+}
+
+/// A cell with its count of triangles; see the module.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Unit {
+    pub cell: CellCode,
+    pub triangles: u64,
+}
+
+/// Ends (exclusive) of the runs of units that make chunks of at most `limit` triangles; a unit beyond that is alone.
+pub(super) fn merge(units: &[Unit], limit: u64) -> Vec<usize> {
+    let (mut ends, mut sum) = (Vec::new(), 0);
+    for (i, unit) in units.iter().enumerate() {
+        if sum > 0 && sum + unit.triangles > limit {
+            ends.push(i);
+            sum = 0;
+        }
+        sum += unit.triangles;
+    }
+    ends.push(units.len());
+    ends
+}
+
+/// The places in `units` (disjoint, in curve order) of those that the triangle belongs to, given that it belongs to `from`.
+pub(super) fn places(
+    units: &[Unit],
+    triangle: &Triangle,
+    from: CellCode,
+    placement: Placement,
+    mut found: impl FnMut(usize),
+) {
+    placement.descend(triangle, from, &mut |cell| {
+        let first = units.partition_point(|unit| unit.cell.end() <= cell.first());
+        match units.get(first) {
+            Some(unit) if unit.cell == cell => {
+                found(first);
+                false
+            }
+            // Go on only where units lie below.
+            Some(unit) => unit.cell.first() < cell.end(),
+            None => false,
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::Aabb;
+
+    fn placement(split: SplitMode) -> Placement {
+        let bounds = Aabb { min: glam::Vec3::ZERO, max: glam::Vec3::splat(8.0) };
+        Placement { root: RootCube::around(bounds), split }
+    }
+
+    /// Small triangles along the diagonal.
+    fn triangles() -> Vec<Triangle> {
+        let corner = |i: u32, j: f32| glam::Vec3::new(i as f32 / 13.0 + 0.01 * j, i as f32 / 13.0, 0.3 * j);
+        (0..100).map(|i| Triangle { a: corner(i, 0.0), b: corner(i, 1.0), c: corner(i, 2.0) }).collect()
+    }
+
+    #[test]
+    fn units_cover_each_triangle() {
+        for split in [SplitMode::Sah, SplitMode::Strict] {
+            let placement = placement(split);
+            let grid = Grid::new(CellCode::ROOT, 4);
+            triangles().iter().for_each(|t| grid.count(t, placement));
+            let units = grid.units(10);
+            assert!(units.len() > 5 && units.windows(2).all(|pair| pair[0].cell.end() <= pair[1].cell.first()));
+            let mut counts = vec![0; units.len()];
+            for triangle in triangles() {
+                let before: u64 = counts.iter().sum();
+                places(&units, &triangle, CellCode::ROOT, placement, |unit| counts[unit] += 1);
+                assert!(counts.iter().sum::<u64>() > before);
+            }
+            assert_eq!(counts, units.iter().map(|unit| unit.triangles).collect::<Vec<_>>());
+            if split == SplitMode::Sah {
+                assert_eq!(counts.iter().sum::<u64>(), 100);
+            }
+        }
+    }
+
+    #[test]
+    fn runs_of_units_keep_the_limit() {
+        let unit = |code, triangles| Unit { cell: CellCode { level: 2, code }, triangles };
+        let units = [unit(0, 3), unit(1, 4), unit(3, 9), unit(4, 2), unit(9, 50), unit(10, 1)];
+        assert_eq!(merge(&units, 10), [2, 3, 4, 5, 6]);
+        assert_eq!(merge(&units, 11), [2, 4, 5, 6]);
+    }
+}
