@@ -328,7 +328,7 @@ fn planes_keep_their_normal_at_right_angles() {
 #[test]
 fn transforms_that_lose_something_are_refused() {
     assert_eq!(error("pop"), "there is no `push` that this `pop` could take back");
-    let squash = "scale 1e-38\n".repeat(3);
+    let squash = "scale 1e-38\n".repeat(2);
     assert!(error(&squash).contains("squash everything flat"));
     assert!(error("scale 1e38\nsphere 1e38 0 0 1").contains("too far away"));
     assert!(error("translate 3e38 0 0\nlight 3e38 0 0 1").contains("too far away"));
@@ -353,14 +353,15 @@ fn cameras_come_in_three_styles() {
     assert_eq!(read("fov 30\nlookat 0 1 2  0 0 0  0 1 0").camera, look(30.0));
     assert_eq!(read("lookat 9 9 9 0 0 0 0 1 0\nlookat 0 1 2  0 0 0  0 1 0\nfov 20\nfov 30").camera, look(30.0));
     assert_eq!(read("frame").camera, Camera::Auto);
-    assert_eq!(read("frame -1 -2 -3").camera, Camera::Frame(v(-1.0, -2.0, -3.0)));
+    let Camera::Frame(direction) = read("frame -1e-200 -2e-200 -2e-200").camera else { panic!() };
+    assert!(near(direction, v(-1.0, -2.0, -2.0) / 3.0));
     // Transforms do not touch the camera.
     assert_eq!(read(&format!("translate 1 2 3\n{classic}")).camera, rectangle);
 }
 
 #[test]
 fn cameras_without_sense_are_refused() {
-    assert_eq!(error("eye 0 0 1"), "the camera is incomplete without `origin` and `horiz` and `vert`");
+    assert_eq!(error("eye 0 0 1"), "the camera is incomplete without `origin`, `horiz`, `vert`");
     assert_eq!(error("eye 0 0 1\norigin 0 0 0\nhoriz 1 0 0"), "the camera is incomplete without `vert`");
     assert_eq!(
         error("eye 0 0 1\n\nlookat 0 0 1 0 0 0 0 1 0\norigin 0 0 0\nhoriz 1 0 0\nvert 0 1 0"),
@@ -573,7 +574,10 @@ fn the_classic_scene_reads() {
         horiz: v(10.0, 0.0, 0.0),
         vert: v(0.0, 10.0, 0.0),
     };
-    assert_eq!((scene.camera, scene.size, scene.output), (camera, [512, 512], Some("test.png".into())));
+    assert_eq!(
+        (&scene.camera, scene.size, scene.output.as_deref()),
+        (&camera, [512, 512], Some(Path::new("test.png")))
+    );
     assert_eq!((scene.shapes.len(), scene.lights.len(), scene.ambient), (5, 3, 0.1));
     let (white, green) = (DVec3::ONE, v(0.0, 1.0, 0.0));
     let green = Material { ambient: green, diffuse: green, specular: white, reflect: 0.2, ..Material::default() };

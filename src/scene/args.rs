@@ -176,14 +176,14 @@ impl<'a> Args<'a> {
         self.three(what, ["x", "y", "z"], &Limit::ANY)
     }
 
-    /// The next three words as a vector that is not zero.
+    /// The next three words as a vector that is not zero, brought to unit length.
     pub fn direction(&mut self, what: &str) -> Step<DVec3> {
         let first = self.next;
         let direction = self.vector(what)?;
         if direction == DVec3::ZERO {
             return Err(Problem::new(self.span_from(first), format!("{what} must not be zero")));
         }
-        Ok(direction)
+        Ok(unit(direction))
     }
 
     /// The next three words as red, green and blue.
@@ -197,11 +197,15 @@ impl<'a> Args<'a> {
     }
 }
 
+/// `v` at unit length; zero stays zero. Squares of its components neither overflow nor vanish.
+pub(super) fn unit(v: DVec3) -> DVec3 {
+    (v / v.abs().max_element()).normalize_or_zero()
+}
+
 /// Whether a word is meant as a number (which may still be out of range).
 pub(super) fn is_number(word: &Word<'_>) -> bool {
-    !word.quoted
-        && word.text.starts_with(['+', '-', '.', '0', '1', '2', '3', '4', '5', '6', '7', '8', '9'])
-        && word.text.parse::<f64>().is_ok()
+    // "inf" and "nan" parse, too, but nobody means them.
+    !word.quoted && word.text.contains(|c: char| c.is_ascii_digit()) && word.text.parse::<f64>().is_ok()
 }
 
 /// A finite number that f32 can hold: rays are f32, so nothing beyond could be seen.

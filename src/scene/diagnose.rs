@@ -36,6 +36,7 @@ impl Problem {
         self
     }
 
+    /// Help that is better than what there is, if any.
     pub fn maybe_help(mut self, help: Option<String>) -> Self {
         self.help = help.or(self.help);
         self

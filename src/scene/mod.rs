@@ -90,7 +90,7 @@ pub enum Camera {
     /// Nothing said: frame everything from a direction of our choice.
     #[default]
     Auto,
-    /// Look along this direction and take in all that has been placed.
+    /// Look along this direction (of unit length) and take in all that has been placed.
     Frame(DVec3),
     /// Classic: eye, bottom-left corner of the image rectangle, its full bottom and left edge.
     Rectangle {
@@ -109,7 +109,7 @@ pub enum Camera {
         eye: DVec3,
         /// Point looked at.
         at: DVec3,
-        /// Up direction.
+        /// Up direction, of unit length, not along the line of sight.
         up: DVec3,
         /// Vertical field of view, degrees.
         fov: f64,
@@ -128,7 +128,7 @@ pub enum Light {
     },
     /// Light from infinitely far.
     Sun {
-        /// Direction in which its light travels.
+        /// Direction in which its light travels, of unit length.
         direction: DVec3,
         /// Intensity times colour.
         color: Color,
@@ -196,7 +196,7 @@ pub enum Geometry {
     Plane {
         /// A point on it.
         point: DVec3,
-        /// Its normal, not zero, not of unit length.
+        /// Its normal, of unit length.
         normal: DVec3,
     },
     /// A triangle, exact as f32.

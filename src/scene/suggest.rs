@@ -3,7 +3,7 @@
 use strsim::damerau_levenshtein;
 
 /// The candidate that `word` most likely stands for, if any is near: at most one letter in three is wrong (case does
-/// not count), or `word` is the beginning of the candidate. Words longer than 64 bytes are nobody's typing error.
+/// not count), or one is the beginning of the other. Words longer than 64 bytes are nobody's typing error.
 pub(super) fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
     if word.is_empty() || word.len() > 64 {
         return None;
@@ -14,7 +14,8 @@ pub(super) fn nearest<'a>(word: &str, candidates: impl IntoIterator<Item = &'a s
         let candidate = candidate.to_lowercase();
         let distance = damerau_levenshtein(&word, &candidate);
         let near = distance <= (letters.max(candidate.chars().count()) / 3).max(1) && distance < letters;
-        let begun = letters >= 3 && candidate.starts_with(&word);
+        let begun =
+            letters >= 3 && candidate.starts_with(&word) || candidate.len() >= 3 && word.starts_with(&candidate);
         (near || begun).then_some(distance)
     };
     // Of equally near ones the first in the alphabet, so that the answer does not depend on the order of a hash map.
@@ -38,6 +39,8 @@ mod tests {
             ("rect", Some("rectangle")),
             ("Sphere", Some("sphere")),
             ("colour", Some("color")),
+            ("rotated", Some("rotate")),
+            ("colors-of-all", Some("color")),
             ("of", Some("off")),
             ("camera", None),
             ("x", None),

@@ -6,7 +6,7 @@
 use glam::DVec3;
 
 use super::super::Camera;
-use super::super::args::{Args, Limit};
+use super::super::args::{Args, Limit, unit};
 use super::super::diagnose::{Place, Problem, Step};
 use super::super::parser::State;
 use crate::error::{Diagnostic, Severity};
@@ -87,7 +87,7 @@ fn rectangle(classic: [Option<DVec3>; 4]) -> Result<Camera, (String, &'static st
     let [Some(eye), Some(origin), Some(horiz), Some(vert)] = classic else {
         let missing: Vec<_> =
             CLASSIC.iter().zip(classic).filter(|(_, v)| v.is_none()).map(|(name, _)| format!("`{name}`")).collect();
-        let message = format!("the camera is incomplete without {}", missing.join(" and "));
+        let message = format!("the camera is incomplete without {}", missing.join(", "));
         return Err((message, "give all of `eye`, `origin`, `horiz` and `vert`, or none of them"));
     };
     if parallel(horiz, vert) {
@@ -103,14 +103,13 @@ fn rectangle(classic: [Option<DVec3>; 4]) -> Result<Camera, (String, &'static st
 
 /// Whether two vectors span no area, for all that f64 can say.
 fn parallel(a: DVec3, b: DVec3) -> bool {
-    let (a, b) = (a.normalize_or_zero(), b.normalize_or_zero());
-    a.cross(b).length() <= PARALLEL
+    unit(a).cross(unit(b)).length() <= PARALLEL
 }
 
 /// Whether `v` lies in the plane that `a` and `b` span.
 fn parallel_to_plane(v: DVec3, a: DVec3, b: DVec3) -> bool {
-    let normal = a.normalize_or_zero().cross(b.normalize_or_zero()).normalize_or_zero();
-    v.normalize_or_zero().dot(normal).abs() <= PARALLEL
+    let normal = unit(unit(a).cross(unit(b)));
+    unit(v).dot(normal).abs() <= PARALLEL
 }
 
 fn classic(state: &mut State, args: &mut Args, which: usize) -> Step<()> {

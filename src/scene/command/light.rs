@@ -23,7 +23,7 @@ pub(super) fn light(state: &mut State, args: &mut Args) -> Step<()> {
 pub(super) fn sun(state: &mut State, args: &mut Args) -> Step<()> {
     let direction = args.direction("the direction")?;
     let color = intensity_and_color(args)?;
-    let direction = state.transform.transform_vector3(direction.normalize()).normalize();
+    let direction = state.transform.transform_vector3(direction).normalize();
     state.scene.lights.push(Light::Sun { direction, color });
     Ok(())
 }

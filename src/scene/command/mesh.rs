@@ -7,8 +7,11 @@ use super::super::diagnose::{Problem, Step, quote};
 use super::super::lexer::Word;
 use super::super::parser::{Include, State};
 use super::super::source::{MAX_BYTES, check_readable, read_limited};
-use super::super::suggest::{did_you_mean, nearest};
+use super::super::suggest::nearest;
 use super::super::{Instance, MeshFile};
+
+/// Help where a file is not there.
+const RELATIVE: &str = "names of files are relative to the file in which they stand";
 
 pub(super) fn obj(state: &mut State, args: &mut Args) -> Step<()> {
     let word = args.file()?;
@@ -41,7 +44,7 @@ pub(super) fn include(state: &mut State, args: &mut Args) -> Step<()> {
     let word = args.file()?;
     let path = state.folder.join(word.text);
     let problem = |what: String| Problem::new(word.span.clone(), what);
-    let canonical = check_readable(&path).map_err(|why| missing(word, &path, &why))?;
+    let canonical = check_readable(&path).map_err(|why| missing(word, &path, &why, RELATIVE.into()))?;
     if let Some(at) = state.including.iter().position(|file| file.canonical == canonical) {
         let mut chain: Vec<_> = state.including[at..].iter().map(|file| file.name.to_string()).collect();
         chain.push(state.including[at].name.to_string());
@@ -63,15 +66,9 @@ fn has_suffix(name: &str, suffix: &str) -> bool {
 fn place_mesh(state: &mut State, word: &Word, built: bool) -> Step<()> {
     let path = state.folder.join(word.text);
     let canonical = check_readable(&path).map_err(|why| {
-        let problem = missing(word, &path, &why);
-        match problem.help {
-            None if built && !path.exists() => {
-                let build = if word.quoted { format!("\"{}\"", word.text) } else { word.text.to_string() };
-                problem.help(format!("build it first: `octbuild MESH.obj -o {build}`"))
-            }
-            None if word.text == "on" || word.text == "of" => problem.help("`oct` alone or `oct off` is a switch"),
-            _ => problem,
-        }
+        let quote = if word.quoted { "\"" } else { "" };
+        let build = format!("build it first: `octbuild MESH.obj -o {quote}{}{quote}`", word.text);
+        missing(word, &path, &why, if built { build } else { RELATIVE.into() })
     })?;
     let meshes = &mut state.scene.meshes;
     let mesh = *state.mesh_numbers.entry((canonical, built)).or_insert_with(|| {
@@ -84,8 +81,9 @@ fn place_mesh(state: &mut State, word: &Word, built: bool) -> Step<()> {
     Ok(())
 }
 
-/// A file that cannot be opened; the help names one of the same kind nearby whose name is much alike.
-fn missing(word: &Word, path: &Path, why: &str) -> Problem {
+/// A file that cannot be opened. If it is not there, the help names one of the same kind nearby whose name is much
+/// alike; if there is none such, it is `otherwise`.
+fn missing(word: &Word, path: &Path, why: &str, otherwise: String) -> Problem {
     let problem = Problem::new(word.span.clone(), format!("cannot open {}: {why}", quote(&path.to_string_lossy())));
     if path.exists() {
         return problem;
@@ -93,7 +91,8 @@ fn missing(word: &Word, path: &Path, why: &str) -> Problem {
     let name = path.file_name().unwrap_or_default().to_string_lossy();
     let names = neighbours(path);
     let near = nearest(&name, names.iter().map(String::as_str));
-    problem.maybe_help(near.and_then(|near| did_you_mean(word.text, [&*with_name(word.text, near)])))
+    let near = near.map(|near| format!("did you mean `{}`?", with_name(word.text, near)));
+    problem.help(near.unwrap_or(otherwise))
 }
 
 /// `given` with its last part replaced.

@@ -49,7 +49,7 @@ pub(super) fn plane(state: &mut State, args: &mut Args) -> Step<()> {
     let normal = args.direction("the normal")?;
     let point = state.placed(point, args)?;
     // Normals go with the inverse transpose; its scale is of no matter.
-    let normal = (state.transform.matrix3.inverse().transpose() * normal.normalize()).normalize();
+    let normal = (state.transform.matrix3.inverse().transpose() * normal).normalize();
     add(state, Geometry::Plane { point, normal });
     Ok(())
 }

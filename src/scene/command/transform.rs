@@ -44,9 +44,12 @@ pub(super) fn rotate(state: &mut State, args: &mut Args) -> Step<()> {
     apply(state, args, DAffine3::from_mat3(rotation(angle, axis)))
 }
 
-/// Right-handed rotation by `angle` degrees; whole quarter turns about an axis of the world are exact.
+/// Largest number in a transform and in its inverse: what is computed with them stays well within f64.
+const MOST: f64 = 1e60;
+
+/// Right-handed rotation by `angle` degrees about an axis of unit length; whole quarter turns about an axis of the world are exact.
 fn rotation(angle: f64, axis: DVec3) -> DMat3 {
-    let matrix = DMat3::from_quat(DQuat::from_axis_angle(axis.normalize(), (angle % 360.0).to_radians()));
+    let matrix = DMat3::from_quat(DQuat::from_axis_angle(axis, (angle % 360.0).to_radians()));
     let along_world_axis = axis.to_array().iter().filter(|x| **x != 0.0).count() == 1;
     if angle % 90.0 != 0.0 || !along_world_axis {
         return matrix;
@@ -58,8 +61,9 @@ fn rotation(angle: f64, axis: DVec3) -> DMat3 {
 /// Composes, if the result can still be inverted.
 fn apply(state: &mut State, args: &Args, transform: DAffine3) -> Step<()> {
     let both = state.transform * transform;
-    let volume = both.matrix3.determinant().abs();
-    let usable = both.is_finite() && (1e-250..=1e250).contains(&volume) && both.inverse().is_finite();
+    let moderate = |m: DMat3| m.to_cols_array().iter().all(|x| x.abs() <= MOST);
+    let there = moderate(both.matrix3) && both.translation.abs().max_element() <= MOST;
+    let usable = there && both.matrix3.determinant() != 0.0 && moderate(both.matrix3.inverse());
     if !usable {
         let message = "all transforms together leave the range of numbers, or squash everything flat";
         return Err(Problem::new(args.span_from(0), message).help("use scales nearer to 1"));
