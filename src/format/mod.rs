@@ -9,6 +9,8 @@ mod leaf;
 mod material;
 mod node;
 mod page;
+#[cfg(test)]
+mod spec_test;
 mod validate;
 mod validate_top;
 mod writer;

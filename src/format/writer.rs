@@ -190,3 +190,90 @@ fn folder(path: &Path) -> &Path {
 fn sync_folder(folder: &Path) -> std::io::Result<()> {
     if cfg!(unix) { File::open(folder)?.sync_all() } else { Ok(()) }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::error::Kind;
+    use crate::format::{Frame, SideArrays, encode_leaf};
+    use crate::geometry::Triangle;
+    use glam::Vec3;
+    use std::fs;
+
+    /// A page of one triangle. Only its form matters here.
+    fn page(number: u32) -> Vec<u8> {
+        let mut leaf = Vec::new();
+        encode_leaf(&mut leaf, super::super::LeafUnit::B16, 0, &[Triangle { a: Vec3::X, b: Vec3::Y, c: Vec3::Z }])
+            .unwrap();
+        PageHeader::layout(PageId(number), &[Node::EMPTY], &leaf, 1, 1, &SideArrays::default(), false).unwrap()
+    }
+
+    fn brick() -> Brick {
+        let (corner, unit) = (Frame::ROOT.corner.map(|x| x as f32), Frame::ROOT.unit.map(|x| x as f32));
+        Brick { node: 0, first_reference: 0, corner, unit }
+    }
+
+    fn finish(writer: OctWriter, bricks: &mut [Brick]) -> Result<u64> {
+        writer.finish(bytemuck::Zeroable::zeroed(), Top { nodes: &[], bricks, materials: &[], strings: &[] })
+    }
+
+    #[test]
+    fn what_is_not_finished_leaves_no_trace() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.oct");
+        fs::write(&path, "older").unwrap();
+        let mut writer = OctWriter::create(&path).unwrap();
+        writer.append(&page(0)).unwrap();
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 2);
+        drop(writer);
+        let writer = OctWriter::create(&path).unwrap();
+        assert!(finish(writer, &mut [brick()]).is_err(), "a brick too many");
+        assert_eq!(fs::read(&path).unwrap(), b"older");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn pages_come_in_order_and_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut writer = OctWriter::create(&folder.path().join("a.oct")).unwrap();
+        assert!(writer.append(&page(1)).is_err());
+        assert!(writer.append(&page(0)[..100]).is_err());
+        assert_eq!(writer.append(&page(0)).unwrap(), PageId(0));
+        assert_eq!(writer.append(&page(1)).unwrap(), PageId(1));
+        let mut bricks = [brick(), brick()];
+        let offsets: Vec<_> = writer.records().iter().map(|r| r.offset).collect();
+        assert_eq!(offsets, [4096, 4096 + page(0).len() as u64]);
+        finish(writer, &mut bricks).unwrap();
+        assert_eq!(bricks[1].node as u64 * 64, offsets[1] + 64);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn permissions_are_those_of_any_new_file_and_links_are_followed() {
+        use std::os::unix::fs::{PermissionsExt, symlink};
+        let folder = tempfile::tempdir().unwrap();
+        let (ordinary, path) = (folder.path().join("ordinary"), folder.path().join("a.oct"));
+        let link = folder.path().join("link.oct");
+        fs::write(&ordinary, "").unwrap();
+        fs::write(&path, "").unwrap();
+        symlink("a.oct", &link).unwrap();
+        let mut writer = OctWriter::create(&link).unwrap();
+        writer.append(&page(0)).unwrap();
+        let length = finish(writer, &mut [brick()]).unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(mode(&path), mode(&ordinary));
+        assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert_eq!(fs::metadata(&path).unwrap().len(), length);
+    }
+
+    #[test]
+    fn places_that_cannot_be_written_are_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let kind = |path: &Path| OctWriter::create(path).err().map(|e| (e.kind(), e.to_string()));
+        let (found, text) = kind(folder.path()).unwrap();
+        assert!(found == Kind::Input && text.contains("not an ordinary file"), "{text}");
+        let missing = folder.path().join("none/a.oct");
+        let (found, text) = kind(&missing).unwrap();
+        assert!(found == Kind::Machine && text.contains("none/a.oct: cannot create"), "{text}");
+    }
+}

@@ -127,6 +127,12 @@ mod guard {
         std::iter::successors(follow(&FIRST), move |entry| follow(&entry.next))
     }
 
+    /// How many entries there are, taken or not.
+    #[cfg(test)]
+    pub(super) fn count() -> usize {
+        entries().count()
+    }
+
     /// Puts a mapping into the registry, and the handler in place if it is the first.
     pub(super) fn register(start: usize, bytes: usize) -> io::Result<&'static Entry> {
         install()?;
@@ -231,5 +237,55 @@ mod guard {
                 call(signal);
             }
         }
+    }
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use std::os::unix::process::ExitStatusExt;
+    use std::process::Command;
+
+    const ROLE: &str = "OCTRACE_TEST_FOREIGN_FAULT";
+
+    /// Reads beyond the end of a map that is not ours, while one of ours exists. Does not return.
+    fn fault_elsewhere() {
+        let (ours, theirs) = (tempfile::tempfile().unwrap(), tempfile::tempfile().unwrap());
+        ours.set_len(100).unwrap();
+        theirs.set_len(10_000).unwrap();
+        let _ours = Mapping::new(&ours).unwrap();
+        // SAFETY: read as bytes only; that it is cut short is the very point, and happens in a process of its own.
+        let map = unsafe { Mmap::map(&theirs).unwrap() };
+        theirs.set_len(0).unwrap();
+        std::hint::black_box(map[5000]);
+    }
+
+    #[test]
+    fn faults_elsewhere_still_end_the_process() {
+        if std::env::var_os(ROLE).is_some() {
+            return fault_elsewhere();
+        }
+        let name = "map::mmap::tests::faults_elsewhere_still_end_the_process";
+        let mut child = Command::new(std::env::current_exe().unwrap());
+        let status = child.args(["--exact", name]).env(ROLE, "1").output().unwrap().status;
+        assert_eq!(status.signal(), Some(libc::SIGBUS), "{status}");
+    }
+
+    #[test]
+    fn entries_are_used_again_and_faults_stay_apart() {
+        let file = |bytes| {
+            let file = tempfile::tempfile().unwrap();
+            file.set_len(bytes).unwrap();
+            file
+        };
+        for _ in 0..50 {
+            let (short, whole) = (file(40_000), file(40_000));
+            let (a, b) = (Mapping::new(&short).unwrap(), Mapping::new(&whole).unwrap());
+            short.set_len(0).unwrap();
+            assert_eq!(std::hint::black_box(a.bytes())[39_999], 0);
+            assert_eq!(std::hint::black_box(b.bytes())[39_999], 0);
+            assert!(a.faulted() && !b.faulted());
+        }
+        assert!(guard::count() < 50, "{}", guard::count());
     }
 }

@@ -7,7 +7,11 @@
 
 mod mmap;
 mod page;
+#[cfg(test)]
+mod sample;
 mod survey;
+#[cfg(test)]
+mod tests;
 mod verify;
 
 use std::fs::File;
