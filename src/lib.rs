@@ -4,6 +4,7 @@
 #![deny(unsafe_code)]
 
 pub mod build;
+mod cache;
 pub mod error;
 pub mod event;
 pub mod exact;
@@ -17,5 +18,6 @@ pub mod scene;
 pub mod shade;
 pub mod trace;
 
+pub use cache::open_or_build;
 pub use error::{Diagnostic, Error, Kind, Result, Severity};
 pub use event::{Event, Monitor};

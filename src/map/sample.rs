@@ -49,9 +49,10 @@ impl Sample {
         Sample { triangles: soup(count, 1), flags: Flags(flags), bricks }
     }
 
-    /// The numbers of a brick's triangles.
+    /// The numbers of a brick's triangles; where the flags allow it, every seventh is in all bricks.
     pub(crate) fn numbers(&self, brick: usize) -> Vec<u32> {
-        (0..self.triangles.len() as u32).filter(|i| *i as usize % self.bricks == brick).collect()
+        let everywhere = |i: u32| self.flags.has(Flags::REPEATS) && i.is_multiple_of(7);
+        (0..self.triangles.len() as u32).filter(|&i| i as usize % self.bricks == brick || everywhere(i)).collect()
     }
 
     /// The material number of a triangle.
@@ -62,12 +63,12 @@ impl Sample {
     /// Vertex normals of a triangle, if it has them.
     pub(crate) fn normals(i: u32) -> Option<[[f32; 3]; 3]> {
         let x = i as f32;
-        (i % 3 != 0).then_some([[x, 0.0, 1.0], [x, 1.0, 1.0], [-0.0, x, 2.0]])
+        (!i.is_multiple_of(3)).then_some([[x, 0.0, 1.0], [x, 1.0, 1.0], [-0.0, x, 2.0]])
     }
 
     /// Texture coordinates of a triangle, if it has them.
     pub(crate) fn texcoords(i: u32) -> Option<[[f32; 2]; 3]> {
-        (i % 2 == 0).then_some([[i as f32, 0.0], [i as f32, 1.0], [-1.0, 0.5]])
+        i.is_multiple_of(2).then_some([[i as f32, 0.0], [i as f32, 1.0], [-1.0, 0.5]])
     }
 
     /// The materials and their strings.

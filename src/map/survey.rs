@@ -3,7 +3,7 @@
 use super::{Octree, Page};
 use crate::error::Result;
 use crate::event::Monitor;
-use crate::format::{Flags, LEAF_MAX, Leaf, Node, PAGE_HEADER_BYTES, PageId};
+use crate::format::{Flags, LEAF_MAX, Leaf, PAGE_HEADER_BYTES, PageId};
 
 /// Bytes of a file by what they are; they add up to the file's length.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -67,7 +67,7 @@ impl Parts {
         let references = u64::from(h.references);
         let there = |offset: u32, bytes: u64| if offset == 0 { 0 } else { bytes * references };
         self.page_headers += PAGE_HEADER_BYTES as u64;
-        self.nodes += (size_of::<Node>() * page.nodes().len()) as u64;
+        self.nodes += size_of_val(page.nodes()) as u64;
         self.ids += there(h.ids, 4);
         self.materials += there(h.materials, if octree.flags().has(Flags::WIDE_MATERIALS) { 4 } else { 2 });
         self.normals += there(h.normal_corners, 12) + 12 * u64::from(h.normal_count);

@@ -40,6 +40,7 @@ fn visit(page: &Page<'_>, unit: LeafUnit, mut visit: impl FnMut(u32, Triangle)) 
 fn samples() -> Vec<Sample> {
     let extra = [0, Flags::LEAF_UNIT_32, Flags::WIDE_MATERIALS, Flags::WIDE_MATERIALS | Flags::LEAF_UNIT_32];
     let mut list: Vec<_> = extra.iter().map(|&e| Sample::new(300, ALL | e, 5)).collect();
+    list.push(Sample::new(300, ALL | Flags::REPEATS, 3));
     list.extend([1, 2, 7].map(|n| Sample::new(n, ALL, 1)));
     list.extend([Sample::new(64, 0, 1), Sample::new(400, Flags::LEAF_UNIT_32, 8), Sample::new(500, Flags::IDS, 1)]);
     list
@@ -70,14 +71,14 @@ fn everything_written_is_read() {
                     return;
                 }
                 let i = page.face(reference).0;
-                assert!(!std::mem::replace(&mut met[i as usize], true));
+                assert!(!std::mem::replace(&mut met[i as usize], true) || sample.flags.has(Flags::REPEATS));
                 assert_eq!(bits(&triangle), bits(&sample.triangles[i as usize]));
                 let given = sample.flags.has(ALL);
                 assert_eq!(page.material(reference), if given { Sample::material(i) } else { 0 });
                 assert_eq!(page.normals(reference), Sample::normals(i).filter(|_| given));
                 assert_eq!(page.texcoords(reference), Sample::texcoords(i).filter(|_| given));
             });
-            assert_eq!(page.face(u32::MAX) == FaceId::NONE, true);
+            assert_eq!(page.face(u32::MAX), FaceId::NONE);
         }
         assert!(met.iter().all(|&m| m));
         octree.verify(Monitor::silent()).unwrap();
@@ -108,7 +109,8 @@ fn every_flipped_bit_is_noticed() {
     Sample::new(24, ALL, 2).write(&path);
     let sound = fs::read(&path).unwrap();
     assert!(fate(&path).is_none());
-    for i in 0..sound.len() {
+    // Of the header's long run of zeros, which one checksum covers, some bytes stand for all.
+    for i in (0..sound.len()).filter(|i| !(800..4080).contains(i) || i % 13 == 0) {
         let mut bytes = sound.clone();
         bytes[i] ^= 1 << (i % 8);
         fs::write(&path, &bytes).unwrap();
@@ -335,7 +337,8 @@ fn wrong_sums_in_the_header_are_found() {
     let (_folder, path) = scratch();
     Sample::new(60, ALL, 2).write(&path);
     let sound = fs::read(&path).unwrap();
-    let changes: [(&str, fn(&mut Header)); 4] = [
+    type Change = (&'static str, fn(&mut Header));
+    let changes: [Change; 4] = [
         ("nodes", |h| h.nodes += 1),
         ("leaves", |h| h.leaves -= 1),
         ("levels", |h| h.depth += 1),

@@ -163,6 +163,13 @@ impl Binning {
         let place = (primitive.centre() - self.low) * self.scale;
         place.to_array().map(|p| (p as i32 as usize).min(self.bins - 1))
     }
+
+    /// The same on one axis: the same operations, so the same bin.
+    fn bin_on(&self, axis: usize, primitive: &Primitive) -> usize {
+        let centre = 0.25 * primitive.min[axis] + 0.25 * primitive.max[axis];
+        let place = (centre - self.low[axis]) * self.scale[axis];
+        (place as i32 as usize).min(self.bins - 1)
+    }
 }
 
 impl Splitter<'_> {
@@ -219,7 +226,7 @@ impl Splitter<'_> {
             return half;
         }
         let split = self.best_split(primitives, &binning);
-        let middle = partition_in_place(primitives, |p| binning.bin(p)[split.axis] < split.bin);
+        let middle = partition_in_place(primitives, |p| binning.bin_on(split.axis, p) < split.bin);
         if middle == 0 || middle == primitives.len() { half } else { middle }
     }
 
