@@ -23,14 +23,20 @@ pub fn render_message(severity: Severity, message: &str) -> String {
 
 /// A remark about a place in a text file, ready to be printed: message, place, line, caret, help.
 pub fn render(d: &Diagnostic) -> String {
-    let origin = Origin::path(d.file.as_str()).line(d.line as usize).char_column(d.column as usize);
-    let title = level(d.severity).primary_title(d.message.as_str());
-    let mut group = title.element(origin);
+    let mut group = Group::with_title(level(d.severity).primary_title(d.message.as_str()));
     // A tab is as wide as the terminal likes; as a space the caret stands under its word.
     let text = d.text.replace(['\t', '\r'], " ");
+    let span = within(&text, &d.span);
+    // The renderer counts the column in the text it is given, which is wrong for a line that was shortened.
+    let counts = text[..span.start].chars().count() as u64 + 1 == d.column;
+    if !counts || text.trim().is_empty() {
+        let (line, column) = (d.line as usize, d.column as usize);
+        group = group.element(Origin::path(d.file.as_str()).line(line).char_column(column));
+    }
     if !text.trim().is_empty() {
-        let caret = AnnotationKind::Primary.span(within(&text, &d.span));
-        group = group.element(Snippet::source(text).line_start(d.line as usize).fold(false).annotation(caret));
+        let snippet = Snippet::source(text).line_start(d.line as usize).fold(false);
+        let snippet = if counts { snippet.path(d.file.as_str()) } else { snippet };
+        group = group.element(snippet.annotation(AnnotationKind::Primary.span(span)));
     }
     if let Some(help) = &d.help {
         group = group.element(Level::HELP.message(help.as_str()));
@@ -86,7 +92,21 @@ mod tests {
 
     #[test]
     fn caret_stands_under_the_word() {
-        insta::assert_snapshot!(plain(&diagnostic("v 1 abc 3", 4..7)), @"");
+        let expected = "\
+error: not a number
+  --> a.obj:12:5
+   |
+12 | v 1 abc 3
+   |     ^^^
+   |
+   = help: write a number";
+        assert_eq!(plain(&diagnostic("v 1 abc 3", 4..7)), expected);
+    }
+
+    #[test]
+    fn a_shortened_line_keeps_its_column() {
+        let shortened = Diagnostic { column: 4711, ..diagnostic("... abc ...", 4..7) };
+        assert!(plain(&shortened).contains("a.obj:12:4711"), "{}", plain(&shortened));
     }
 
     #[test]
