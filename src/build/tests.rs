@@ -368,7 +368,7 @@ fn real_meshes_build() {
         println!("OCTRACE_DATA is not set: skipped");
         return;
     };
-    for name in ["bunny.obj", "fandisk.obj", "spot.obj", "kitchen.obj"] {
+    for name in ["bunny.obj", "fandisk.obj", "spot.obj", "kitchen.obj", "st_helens.obj.zst"] {
         let obj = Path::new(&data).join(name);
         if !obj.exists() {
             println!("{name} is not there: skipped");
