@@ -322,7 +322,7 @@ fn permute(bits: u8, a: u8) -> u8 {
         b = (b & 0x33) << 2 | (b >> 2) & 0x33;
     }
     if a & 4 != 0 {
-        b = b << 4 | b >> 4;
+        b = b.rotate_left(4);
     }
     b
 }

@@ -68,15 +68,18 @@ fn coordinates<'a, const N: usize>(leaf: &Leaf<'a>, axis: usize) -> Option<&'a [
 /// Vertex numbers of 4 bits as bytes.
 #[inline]
 fn spread(words: [u64; 3]) -> [[u8; LANES]; 3] {
-    words.map(|word| {
-        let half = |x: u64| {
-            let x = (x | x << 16) & 0x0000_ffff_0000_ffff;
-            let x = (x | x << 8) & 0x00ff_00ff_00ff_00ff;
-            ((x | x << 4) & 0x0f0f_0f0f_0f0f_0f0f).to_le_bytes()
-        };
-        let (low, high) = (half(word & 0xffff_ffff), half(word >> 32));
-        std::array::from_fn(|j| if j < 8 { low[j] } else { high[j - 8] })
-    })
+    [spread_word(words[0]), spread_word(words[1]), spread_word(words[2])]
+}
+
+/// The same for one corner: each step doubles the distance between the halves of what it has.
+#[inline]
+fn spread_word(word: u64) -> [u8; LANES] {
+    let half = |x: u64| {
+        let x = (x | x << 16) & 0x0000_ffff_0000_ffff;
+        let x = (x | x << 8) & 0x00ff_00ff_00ff_00ff;
+        u128::from((x | x << 4) & 0x0f0f_0f0f_0f0f_0f0f)
+    };
+    (half(word & 0xffff_ffff) | half(word >> 32) << 64).to_le_bytes()
 }
 
 #[cfg(test)]
