@@ -252,11 +252,9 @@ fn meshes_render_the_same_by_octree_and_by_every_triangle() {
 
 /// Builds `source` into `target`, textures found beside the source.
 fn build(source: &Path, target: &Path) -> PathBuf {
-    for extra in ["spot_texture.png"] {
-        let from = source.with_file_name(extra);
-        if from.exists() {
-            std::fs::copy(from, target.with_file_name(extra)).unwrap();
-        }
+    let texture = source.with_file_name("spot_texture.png");
+    if texture.exists() {
+        std::fs::copy(texture, target.with_file_name("spot_texture.png")).unwrap();
     }
     let mut mesh = octrace::mesh::open(source, &octrace::mesh::ReadOptions::default()).unwrap();
     octrace::build::build(&mut *mesh, target, &octrace::build::BuildOptions::default(), Monitor::silent()).unwrap();
