@@ -1,9 +1,10 @@
 //! Exact ray tracing of triangle meshes larger than memory, from an octree file that is traversed in place.
 //!
-//! See ARCHITECTURE.md for a tour, and [`format`] for the file.
+//! See ARCHITECTURE.md for a tour, and [`mod@format`] for the file.
 #![deny(unsafe_code)]
 
 pub mod build;
+mod cache;
 pub mod error;
 pub mod event;
 pub mod exact;
@@ -17,5 +18,6 @@ pub mod scene;
 pub mod shade;
 pub mod trace;
 
+pub use cache::open_or_build;
 pub use error::{Diagnostic, Error, Kind, Result, Severity};
 pub use event::{Event, Monitor};

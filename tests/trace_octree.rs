@@ -87,8 +87,8 @@ fn scales_and_offsets() {
             .enumerate()
     {
         let name = format!("soup at scale {scale}, offset {offset}");
-        compare(&name, &Mesh::soup(150, 5).placed(scale, offset), 800, 10 + k as u64);
-        compare(&name, &Mesh::cube(3).placed(scale, offset), 800, 30 + k as u64);
+        compare(&name, &Mesh::soup(150, 5).placed(scale, offset), 300, 10 + k as u64);
+        compare(&name, &Mesh::cube(3).placed(scale, offset), 300, 30 + k as u64);
     }
 }
 
@@ -179,7 +179,11 @@ fn box_queries_find_what_touches() {
     for split in SPLITS {
         let octree = mesh.octree(&BuildOptions { split, brick: Some(64), cell: 4, ..BuildOptions::default() });
         let mut all = Vec::new();
-        triangles_in_box(&octree, None, &mut |s| Ok(all.push(s))).unwrap();
+        triangles_in_box(&octree, None, &mut |s| {
+            all.push(s);
+            Ok(())
+        })
+        .unwrap();
         let mut ids: Vec<_> = all.iter().map(|s| s.face).collect();
         ids.sort();
         ids.dedup();
@@ -191,7 +195,11 @@ fn box_queries_find_what_touches() {
             let p = if random.below(3) == 0 { random.pick(&mesh.positions) } else { p };
             let bounds = Aabb::around([p.into(), std::array::from_fn::<f32, 3, _>(|i| p[i] + size * q[i]).into()]);
             let mut found = Vec::new();
-            triangles_in_box(&octree, Some(bounds), &mut |s| Ok(found.push(s.face))).unwrap();
+            triangles_in_box(&octree, Some(bounds), &mut |s| {
+                found.push(s.face);
+                Ok(())
+            })
+            .unwrap();
             let touching = all.iter().filter(|s| octrace::exact::touches_box(&s.triangle, bounds));
             let mut expected: Vec<_> = touching.map(|s| s.face).collect();
             found.sort();

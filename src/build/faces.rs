@@ -235,7 +235,7 @@ impl Faces {
 fn check(batch: &FaceBatch) -> Result<()> {
     let corners = batch.corners.len();
     let whole = match batch.sizes.is_empty() {
-        true => corners % 3 == 0,
+        true => corners.is_multiple_of(3),
         false => batch.sizes.iter().map(|&size| corners_of(size)).sum::<usize>() == corners,
     };
     let per_corner = |array: &[u32]| array.is_empty() || array.len() == corners;
@@ -254,8 +254,10 @@ mod tests {
         Faces::new(Spool::new(&std::env::temp_dir(), usize::MAX), block_corners)
     }
 
-    /// Every face with its id, corners, texture coordinate numbers and material.
-    fn read_all(faces: &mut Faces) -> Vec<(u32, u32, Vec<u32>, Vec<u32>, u32)> {
+    /// Id, size, corners, texture coordinate numbers, material.
+    type Face = (u32, u32, Vec<u32>, Vec<u32>, u32);
+
+    fn read_all(faces: &mut Faces) -> Vec<Face> {
         faces.flush().unwrap();
         let mut all = vec![];
         for block in 0..faces.blocks() {

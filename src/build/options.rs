@@ -63,6 +63,12 @@ impl BuildOptions {
         if self.cell == 0 || self.brick == Some(0) {
             return wrong("cell and brick limits are at least 1".into());
         }
+        if !self.ids && self.split == SplitMode::Strict {
+            return wrong(
+                "a strict octree stores triangles several times and needs their ids: drop --no-ids, or use --split sah"
+                    .into(),
+            );
+        }
         if !self.origin.iter().all(|x| x.is_finite()) {
             return wrong("the origin is not finite".into());
         }

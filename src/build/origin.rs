@@ -3,7 +3,6 @@
 use glam::DVec3;
 
 use crate::event::Monitor;
-use crate::geometry::Aabb;
 
 use super::BuildOptions;
 use super::join::Tally;
@@ -52,6 +51,7 @@ mod tests {
     use glam::Vec3;
 
     use super::*;
+    use crate::geometry::Aabb;
 
     #[test]
     fn rounds_to_something_short() {

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::event::Monitor;
-use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, Slot, SplitMode, Top};
+use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, SplitMode, Top};
 use crate::geometry::RootCube;
 use crate::mesh::TriangleSource;
 
@@ -26,7 +26,7 @@ use super::record::Layout;
 use super::report::BuildReport;
 use super::scan::{Scan, scan};
 use super::spool::{Spool, temporary};
-use super::subtree::{TopBrick, build_top};
+use super::subtree::{TopBrick, build_top, top_levels};
 
 /// Builds the octree file `output` from `source`.
 ///
@@ -288,7 +288,7 @@ impl<'a> Build<'a> {
         let numbers = first..first + lists.len() as u32;
         let built: Vec<BuiltBrick> = numbers.into_par_iter().zip(lists).map(build).collect::<Result<_>>()?;
         built.into_iter().try_for_each(|brick| self.append(brick))?;
-        // Triangles that repeat count once here only if there is one page; near enough for a bar.
+        // In strict mode triangles repeat, so that this is only near enough for a bar.
         let done = self.report.references.min(self.report.triangles);
         self.monitor.progress(done, Some(self.report.triangles), "triangles");
         Ok(())
@@ -346,7 +346,7 @@ impl<'a> Build<'a> {
             pages: self.records.len() as u32,
             top_nodes: top.len() as u32,
             materials: materials as u32,
-            depth: depth(top, &self.depths),
+            depth: self.depth(top),
             root_corner: self.source.root.corner.to_array(),
             origin: self.options.origin,
             root_log2_side: self.source.root.log2_side,
@@ -366,6 +366,12 @@ impl<'a> Build<'a> {
         }
     }
 
+    /// Nodes on the longest path from the root down to a leaf.
+    fn depth(&self, top: &[Node]) -> u32 {
+        let above = top_levels(top, self.depths.len());
+        above.iter().zip(&self.depths).map(|(above, below)| above + below).max().unwrap_or(0)
+    }
+
     fn flags(&self) -> Flags {
         let repeats = self.rule.placement.repeats() || self.report.references > self.report.triangles;
         let flag = |mask: u32, set: bool| if set { mask } else { 0 };
@@ -378,25 +384,4 @@ impl<'a> Build<'a> {
                 | flag(Flags::REPEATS, repeats),
         )
     }
-}
-
-/// Nodes on the longest path from the root down to a leaf, given the depths of the bricks. Parents lie before children.
-fn depth(top: &[Node], bricks: &[u32]) -> u32 {
-    if top.is_empty() {
-        return bricks.iter().copied().max().unwrap_or(0);
-    }
-    let mut above = vec![1; top.len()];
-    let mut deepest = 0;
-    for (number, node) in top.iter().enumerate() {
-        for slot in node.slots.into_iter().filter_map(Slot::decode) {
-            match slot {
-                Slot::Inner(rank) => above[number + node.first_child as usize + usize::from(rank)] = above[number] + 1,
-                Slot::Brick(rank) => {
-                    deepest = deepest.max(above[number] + bricks[node.first_leaf as usize + usize::from(rank)]);
-                }
-                Slot::Empty | Slot::Leaf(_) => {}
-            }
-        }
-    }
-    deepest
 }

@@ -51,9 +51,9 @@ fn project(corners: &[[f32; 3]]) -> Vec<[f32; 2]> {
     let mut area = [0.0f64; 3];
     for pair in corners.windows(2) {
         let [p, q] = [pair[0], pair[1]].map(|p| [0, 1, 2].map(|i| f64::from(p[i]) - first[i]));
-        for axis in 0..3 {
+        for (axis, area) in area.iter_mut().enumerate() {
             let (i, j) = ((axis + 1) % 3, (axis + 2) % 3);
-            area[axis] += p[i] * q[j] - p[j] * q[i];
+            *area += p[i] * q[j] - p[j] * q[i];
         }
     }
     let axis = (1..3).fold(0, |best, i| if area[i].abs() > area[best].abs() { i } else { best });

@@ -63,10 +63,25 @@ enum Edge {
     OnLine,
 }
 
+/// The other two axes in cyclic order.
+const OTHERS: [(usize, usize); 3] = [(1, 2), (2, 0), (0, 1)];
+
+/// A point as f64.
+#[inline]
+fn wide(p: [f32; 3]) -> [f64; 3] {
+    [f64::from(p[0]), f64::from(p[1]), f64::from(p[2])]
+}
+
+/// p - q, rounded.
+#[inline]
+fn apart(p: [f64; 3], q: [f64; 3]) -> [f64; 3] {
+    [p[0] - q[0], p[1] - q[1], p[2] - q[2]]
+}
+
 impl Line {
     /// Prepares a ray.
     pub fn new(ray: &Ray) -> Line {
-        Line { ray: *ray, o: ray.origin.map(f64::from), d: ray.direction.map(f64::from) }
+        Line { ray: *ray, o: wide(ray.origin), d: wide(ray.direction) }
     }
 
     /// Decides whether the line meets the triangle.
@@ -98,12 +113,10 @@ impl Line {
     /// Where the line meets a triangle whose three determinants are known to agree in sign: only n.d = 0 can still make it a miss.
     #[inline]
     pub fn accepted(&self, triangle: &Triangle) -> Decision {
-        let [a, b, c] = triangle.vertices().map(|v| v.to_array().map(f64::from));
+        let [a, b, c] = [wide(triangle.a.to_array()), wide(triangle.b.to_array()), wide(triangle.c.to_array())];
         let (mut num, mut num_permanent, mut den, mut den_permanent) = (0.0, 0.0, 0.0, 0.0);
-        let e: [f64; 3] = std::array::from_fn(|i| b[i] - a[i]);
-        let f: [f64; 3] = std::array::from_fn(|i| c[i] - a[i]);
-        for i in 0..3 {
-            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        let (e, f) = (apart(b, a), apart(c, a));
+        for (i, (j, k)) in OTHERS.into_iter().enumerate() {
             let (plus, minus) = (e[j] * f[k], e[k] * f[j]);
             let (n, permanent) = (plus - minus, plus.abs() + minus.abs());
             let w = a[i] - self.o[i];
@@ -149,11 +162,9 @@ impl Line {
     /// det(d, p - o, q - o) in f64, and a bound of its error.
     #[inline]
     fn determinant(&self, p: [f32; 3], q: [f32; 3]) -> (f64, f64) {
-        let p: [f64; 3] = std::array::from_fn(|i| f64::from(p[i]) - self.o[i]);
-        let q: [f64; 3] = std::array::from_fn(|i| f64::from(q[i]) - self.o[i]);
+        let (p, q) = (apart(wide(p), self.o), apart(wide(q), self.o));
         let (mut value, mut permanent) = (0.0, 0.0);
-        for i in 0..3 {
-            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+        for (i, (j, k)) in OTHERS.into_iter().enumerate() {
             let (plus, minus) = (p[j] * q[k], p[k] * q[j]);
             value += (plus - minus) * self.d[i];
             permanent += (plus.abs() + minus.abs()) * self.d[i].abs();
@@ -203,23 +214,26 @@ impl Line {
         Quotient::new(self.height(triangle), self.normal_dot_direction(triangle))
     }
 
-    /// The weight det(d, p - o, q - o) / n.d, correctly rounded.
-    fn weight(&self, triangle: &Triangle, p: [f32; 3], q: [f32; 3]) -> f32 {
-        let edges = triangle.vertices().map(|v| v.to_array());
-        let [a, b, c] = edges;
-        let sum = [(b, c), (c, a), (a, b)].map(|(p, q)| self.determinant(p, q));
-        let den = sum[0].0 + sum[1].0 + sum[2].0;
-        let den_error = sum[0].1 + sum[1].1 + sum[2].1 + 4.0 * U * (sum[0].0.abs() + sum[1].0.abs() + sum[2].0.abs());
-        let (num, num_error) = self.determinant(p, q);
-        if den.abs() > 2.0 * den_error {
+    /// The weights V / n.d and W / n.d of a triangle's second and third corner, correctly rounded.
+    fn weights(&self, triangle: &Triangle) -> [f32; 2] {
+        let [a, b, c] = triangle.vertices().map(|v| v.to_array());
+        let (u, v, w) = (self.determinant(b, c), self.determinant(c, a), self.determinant(a, b));
+        let den = u.0 + v.0 + w.0;
+        let den_error = u.1 + v.1 + w.1 + 4.0 * U * (u.0.abs() + v.0.abs() + w.0.abs());
+        let weight = |(num, num_error): (f64, f64), p, q| {
             let quotient = num / den;
-            // (|num| + e) / (|den| - e') is within |q| (1 + 2 e'/|den|) + 2 e/|den| of zero, and the like; generous here.
+            // First order: num_error / |den| + |quotient| den_error / |den| + a rounding; twice that where den_error < |den| / 2.
             let error = 2.0 * (num_error + quotient.abs() * den_error) / den.abs() + 4.0 * U * quotient.abs();
             let (lo, hi) = ((quotient - error) as f32, (quotient + error) as f32);
-            if lo == hi {
-                return lo + 0.0;
-            }
-        }
+            // Adding +0 turns -0 into +0.
+            if den.abs() > 2.0 * den_error && lo == hi { lo + 0.0 } else { self.weight_exact(triangle, p, q) }
+        };
+        [weight(v, c, a), weight(w, a, b)]
+    }
+
+    /// The weight det(d, p - o, q - o) / n.d, by expansions.
+    #[cold]
+    fn weight_exact(&self, triangle: &Triangle, p: [f32; 3], q: [f32; 3]) -> f32 {
         let num = dot(&exact(self.ray.direction), &self.edge_cross(p, q));
         Quotient::new(num, self.normal_dot_direction(triangle)).round() + 0.0
     }
@@ -259,8 +273,7 @@ impl Crossing {
 
     /// The weights of the second and the third corner, correctly rounded.
     pub fn uv(&self, line: &Line) -> [f32; 2] {
-        let [a, b, c] = self.triangle.vertices().map(|v| v.to_array());
-        [line.weight(&self.triangle, c, a), line.weight(&self.triangle, a, b)]
+        line.weights(&self.triangle)
     }
 }
 

@@ -1,7 +1,7 @@
 //! Geometric decisions that come out as in exact arithmetic on the stored f32 coordinates.
 //!
 //! Every predicate is a sign of a polynomial in f32 inputs. It is evaluated in floating point with a proved error bound
-//! first, and only where the bound does not settle the sign in expansions ([`expansion`]: sums of f64 that stand for one
+//! first, and only where the bound does not settle the sign in expansions (`expansion.rs`: sums of f64 that stand for one
 //! exact number; Dekker 1971, Shewchuk 1997). The answers therefore never depend on the order of evaluation, on the
 //! instruction set, or on how the triangles are stored.
 //!

@@ -16,11 +16,11 @@ pub fn side(triangle: &Triangle, point: [f32; 3]) -> Ordering {
         |p: [f32; 3], q: [f32; 3]| -> [f64; 3] { std::array::from_fn(|i| f64::from(p[i]) - f64::from(q[i])) };
     let (e, f, w) = (difference(b, a), difference(c, a), difference(point, a));
     let (mut value, mut permanent) = (0.0, 0.0);
-    for i in 0..3 {
+    for (i, w) in w.into_iter().enumerate() {
         let (j, k) = ((i + 1) % 3, (i + 2) % 3);
         let (plus, minus) = (e[j] * f[k], e[k] * f[j]);
-        value += (plus - minus) * w[i];
-        permanent += (plus.abs() + minus.abs()) * w[i].abs();
+        value += (plus - minus) * w;
+        permanent += (plus.abs() + minus.abs()) * w.abs();
     }
     // Roundings on a path: three differences, two products, one subtraction, two sums.
     if value.abs() > 9.0 * U * permanent {

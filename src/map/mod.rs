@@ -147,6 +147,12 @@ impl Octree {
         self.check_page(id)
     }
 
+    /// The records of the pages that were used so far, and found sound.
+    pub fn used(&self) -> impl Iterator<Item = &PageRecord> {
+        let sound = self.sound.iter().map(|sound| sound.load(Ordering::Relaxed));
+        self.records().iter().zip(sound).filter_map(|(record, sound)| sound.then_some(record))
+    }
+
     /// An error if the file was cut short while it was in use: what was read since may be zeros, and no result holds.
     #[inline]
     pub fn fault(&self) -> Result<()> {

@@ -68,7 +68,7 @@ impl Input {
             let what = "this is a folder; name the mesh file in it".into();
             return Err(Error::Input { file: path.to_owned(), what });
         }
-        let size = data.is_file().then(|| data.len());
+        let size = data.is_file().then_some(data.len());
         Ok(Input { path: path.to_owned(), promised, file: Some(file), size })
     }
 

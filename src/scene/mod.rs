@@ -1,8 +1,8 @@
 //! The scene: what a scene file says, ready to be shaded. docs/SCENE.md describes the language to its users.
 //!
-//! [`Scene::load`] reads a file from top to bottom, line by line: [`lexer`] cuts a line into words, [`args`] takes the
-//! words of one command as numbers and names, [`command`] holds the table of commands, and [`parser`] the state that they
-//! change. Whatever is wrong becomes a [`diagnose::Problem`] at a word; the reading goes on with the next line, so that
+//! [`Scene::load`] reads a file from top to bottom, line by line: `lexer` cuts a line into words, `args` takes the
+//! words of one command as numbers and names, `command` holds the table of commands, and `parser` the state that they
+//! change. Whatever is wrong becomes a `diagnose::Problem` at a word; the reading goes on with the next line, so that
 //! all errors of a file are told in one go. The classic part of the language is that of a small teaching ray tracer.
 //!
 //! Nothing here opens a mesh beyond seeing that it is there, and nothing needs its bounds: what does (framing, the

@@ -1,2 +1,211 @@
-//! x
-fn main() {}
+//! octtrace: answers rays from standard input.
+
+#[path = "../cli/mod.rs"]
+mod cli;
+mod stream;
+
+use std::io::IsTerminal;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::Parser;
+use octrace::geometry::{Hit, Ray};
+use octrace::map::Octree;
+use octrace::trace::{Counters, OctreeTracer, Tracer};
+use octrace::{Error, Result};
+use serde::Serialize;
+
+use cli::args::{Common, StatsFile};
+use cli::{Arguments, Session};
+use stream::RayReader;
+
+/// Rays that are read, traced and written at a time.
+const BATCH: usize = 1 << 18;
+
+/// Answers rays: reads them from standard input, writes a hit for each to standard output
+#[derive(Parser)]
+#[command(name = "octtrace", version, after_help = EXAMPLES, override_usage = "octtrace [OPTIONS] MODEL.oct < RAYS > HITS")]
+struct Args {
+    /// The octree file
+    #[arg(value_name = "MODEL.oct")]
+    model: PathBuf,
+    /// Only say whether anything is hit: one byte a ray, 1 = blocked
+    #[arg(long)]
+    any: bool,
+    /// Trace the whole set N times and write it once, to measure; holds all rays in memory
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    repeat: u32,
+    #[command(flatten)]
+    common: Common,
+    #[command(flatten)]
+    stats: StatsFile,
+}
+
+const EXAMPLES: &str = "\
+A ray is 32 bytes: 8 little-endian f32 (origin, direction, tmin, tmax).
+A hit is 16 bytes: f32 t, u32 face, f32 u, f32 v, with the point (1-u-v) v0 + u v1 + v v2;
+a miss has t = infinity and face = 0xFFFFFFFF.
+
+Examples:
+  octtrace bunny.oct < rays.bin > hits.bin
+  octtrace bunny.oct --any < rays.bin > blocked.bin
+  octtrace bunny.oct --repeat 9 --threads 1 --stats speed.json < rays.bin > hits.bin
+";
+
+/// The statistics file.
+#[derive(Default, Serialize)]
+struct Stats {
+    schema: u32,
+    rays: u64,
+    hits: u64,
+    trace_seconds: Vec<f64>,
+    mrays_per_second: f64,
+    nodes_per_ray: f64,
+    triangles_per_ray: f64,
+    peak_rss_bytes: u64,
+}
+
+impl Arguments for Args {
+    fn common(&self) -> &Common {
+        &self.common
+    }
+}
+
+fn main() -> ExitCode {
+    cli::run(work)
+}
+
+fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
+    args.stats.not_stdout("the hits")?;
+    let octree = Octree::open(&args.model)?;
+    if std::io::stdin().is_terminal() {
+        return Err(Error::Option("standard input is a terminal; give rays: octtrace MODEL.oct < RAYS > HITS".into()));
+    }
+    let tracer = OctreeTracer::new(&octree);
+    let mut run = Run { tracer, session, work: Counters::default(), rays: 0, hits: 0 };
+    let seconds = if args.any {
+        run.all(args.repeat, false, Tracer::any_batch, |&blocked| blocked)?
+    } else {
+        run.all(args.repeat, Hit::MISS, Tracer::closest_batch, Hit::is_hit)?
+    };
+    session.finish();
+    args.stats.write(&run.stats(seconds))?;
+    Ok(ExitCode::SUCCESS)
+}
+
+/// One run of the program.
+struct Run<'a> {
+    tracer: OctreeTracer<&'a Octree>,
+    session: &'a Session<'a>,
+    work: Counters,
+    rays: u64,
+    hits: u64,
+}
+
+impl<'a> Run<'a> {
+    /// Answers all rays of standard input; the seconds that each repeat took.
+    fn all<T: bytemuck::NoUninit>(
+        &mut self,
+        repeat: u32,
+        blank: T,
+        trace: impl Fn(&OctreeTracer<&'a Octree>, &[Ray], &mut [T]) -> Result<Counters>,
+        is_hit: impl Fn(&T) -> bool,
+    ) -> Result<Vec<f64>> {
+        self.session.monitor().phase("trace");
+        let mut reader = RayReader::new(std::io::stdin().lock());
+        let mut out = std::io::stdout().lock();
+        let mut seconds = vec![0.0; repeat as usize];
+        if repeat == 1 {
+            let mut rays = vec![stream::NO_RAY; BATCH];
+            let mut answers = vec![blank; rays.len()];
+            loop {
+                let n = reader.fill(&mut rays)?;
+                if n == 0 {
+                    break;
+                }
+                seconds[0] += self.time(&trace, &rays[..n], &mut answers[..n])?;
+                self.count(&answers[..n], &is_hit);
+                stream::write(&mut out, &answers[..n])?;
+            }
+        } else {
+            let rays = reader.read_all(BATCH)?;
+            let mut answers = vec![blank; rays.len()];
+            for (done, seconds) in seconds.iter_mut().enumerate() {
+                for (rays, answers) in rays.chunks(BATCH).zip(answers.chunks_mut(BATCH)) {
+                    *seconds += self.time(&trace, rays, answers)?;
+                }
+                self.session.monitor().progress(done as u64 + 1, Some(repeat.into()), "repeats");
+            }
+            self.count(&answers, &is_hit);
+            stream::write(&mut out, &answers)?;
+        }
+        stream::flush(&mut out)?;
+        Ok(seconds)
+    }
+
+    /// Traces a batch; the seconds it took.
+    fn time<T>(
+        &mut self,
+        trace: impl Fn(&OctreeTracer<&'a Octree>, &[Ray], &mut [T]) -> Result<Counters>,
+        rays: &[Ray],
+        answers: &mut [T],
+    ) -> Result<f64> {
+        self.session.monitor().check()?;
+        let start = Instant::now();
+        self.work = self.work + trace(&self.tracer, rays, answers)?;
+        let seconds = start.elapsed().as_secs_f64();
+        self.tracer.octree().fault()?;
+        Ok(seconds)
+    }
+
+    fn count<T>(&mut self, answers: &[T], is_hit: impl Fn(&T) -> bool) {
+        self.rays += answers.len() as u64;
+        self.hits += answers.iter().filter(|a| is_hit(a)).count() as u64;
+        self.session.monitor().progress(self.rays, None, "rays");
+    }
+
+    fn stats(&self, trace_seconds: Vec<f64>) -> Stats {
+        let per_ray = |n: u64| n as f64 / self.work.rays.max(1) as f64;
+        let seconds = median(&trace_seconds);
+        Stats {
+            schema: cli::stats::SCHEMA,
+            rays: self.rays,
+            hits: self.hits,
+            mrays_per_second: if seconds > 0.0 { self.rays as f64 / seconds * 1e-6 } else { 0.0 },
+            nodes_per_ray: per_ray(self.work.nodes),
+            triangles_per_ray: per_ray(self.work.triangles),
+            peak_rss_bytes: cli::stats::peak_rss_bytes(),
+            trace_seconds,
+        }
+    }
+}
+
+/// The median; of an even number of values the mean of the middle two; 0 of none.
+fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match sorted.len() {
+        0 => 0.0,
+        n if n % 2 == 1 => sorted[n / 2],
+        n => (sorted[n / 2 - 1] + sorted[n / 2]) / 2.0,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_arguments_are_consistent() {
+        Args::command().debug_assert();
+    }
+
+    #[test]
+    fn medians() {
+        assert_eq!(median(&[]), 0.0);
+        assert_eq!(median(&[3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(&[4.0, 1.0, 2.0, 3.0]), 2.5);
+    }
+}

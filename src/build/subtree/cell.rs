@@ -21,6 +21,7 @@ pub struct Cell {
 
 impl Cell {
     /// The root cube.
+    #[cfg(test)]
     pub const ROOT: Cell = Cell { level: 0, index: [0; 3] };
 
     /// The octant 4x + 2y + z of this cell.

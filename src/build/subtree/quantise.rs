@@ -30,13 +30,14 @@ pub(super) fn set_planes(node: &mut Node, slot: usize, frame: &Frame, bounds: Bo
 pub(super) fn brick_frame(bounds: Bounds) -> Frame {
     let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
     let axis_frame = |axis: usize| {
-        let frames = (-32..=-7).map(|exponent| {
+        let at = |exponent: i32| {
             let unit = f64::powi(2.0, exponent);
             let steps = ((min[axis] - MARGIN * unit) * GRID).floor();
             (steps.clamp(0.0, GRID - 1.0) / GRID, unit)
-        });
+        };
         let holds = |&(corner, unit): &(f64, f64)| (max[axis] - corner) / unit + MARGIN <= 255.0;
-        frames.clone().find(holds).or(frames.last()).unwrap_or((0.0, 1.0 / 128.0))
+        // Steps of 2^-7 span two root units and hold anything.
+        (-32..-7).map(at).find(holds).unwrap_or_else(|| at(-7))
     };
     let axes = [0, 1, 2].map(axis_frame);
     Frame { corner: axes.map(|(corner, _)| corner), unit: axes.map(|(_, unit)| unit) }

@@ -16,6 +16,7 @@ pub(super) struct RecordLimits {
 }
 
 impl RecordLimits {
+    /// The limits for leaves of at most `leaf` triangles in units of `unit`.
     pub fn new(leaf: usize, unit: LeafUnit) -> RecordLimits {
         RecordLimits { triangles: leaf.clamp(1, crate::format::LEAF_MAX), vertices: unit.vertex_limit() }
     }
@@ -41,6 +42,7 @@ pub(super) struct VertexSet {
 impl VertexSet {
     const PLACES: usize = 128;
 
+    /// The empty set.
     pub fn new() -> VertexSet {
         VertexSet { keys: [[0; 3]; VertexSet::PLACES], taken: 0, len: 0 }
     }

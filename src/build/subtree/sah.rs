@@ -42,6 +42,7 @@ pub(super) struct Primitive {
 }
 
 impl Primitive {
+    /// The primitive of the triangle with canonical number `id`.
     pub fn new(id: u32, triangle: &Triangle) -> Primitive {
         let Aabb { min, max } = Aabb::from(triangle);
         Primitive { min: min.to_array(), id, max: max.to_array(), spare: 0 }

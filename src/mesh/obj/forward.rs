@@ -58,9 +58,7 @@ impl Forward {
                 kinds.into_iter().for_each(|kind| self.keep(kind, text, greatest[kind], before, after, at));
             }
         }
-        for kind in 0..KINDS {
-            self.greatest[kind] = self.greatest[kind].max(greatest[kind]);
-        }
+        self.greatest = std::array::from_fn(|kind| self.greatest[kind].max(greatest[kind]));
         self.block += 1;
     }
 

@@ -222,7 +222,7 @@ impl<'a> Parser<'a> {
     ) -> Result<[f32; 3], Problem> {
         let is_position = keyword.len() == 1;
         let mut values = [0.0; 3];
-        for i in 0..most {
+        for (i, value) in values.iter_mut().enumerate().take(most) {
             let Some(place) = words.next_word() else {
                 if i < least {
                     let name = String::from_utf8_lossy(&self.text[keyword.clone()]);
@@ -231,11 +231,11 @@ impl<'a> Parser<'a> {
                 break;
             };
             let word = &self.text[place.clone()];
-            let value = match self.origin[i] {
+            let read = match self.origin[i] {
                 origin if is_position && origin != 0.0 => number::parse_f64(word).map(|value| (value - origin) as f32),
                 _ => number::parse_f32(word),
             };
-            values[i] = value.ok_or_else(|| not_a_number(place, word))?;
+            *value = read.ok_or_else(|| not_a_number(place, word))?;
         }
         Ok(values)
     }

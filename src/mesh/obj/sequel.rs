@@ -109,7 +109,7 @@ impl Sequel {
 
     /// Parses a block in which something is wrong: says what, or (when lenient) skips it and warns.
     fn parse_again(&mut self, text: &[u8], monitor: Monitor<'_>) -> Result<Parsed> {
-        let Options { lenient, origin } = Options::of(&self.options);
+        let ReadOptions { lenient, origin, .. } = self.options;
         let context = Context::Known { before: self.counts, limits: None, lenient };
         let skipped = &mut self.skipped;
         let mut warn = |problem: Problem| {
@@ -177,18 +177,6 @@ impl Sequel {
                 Err(Error::Input { file: self.error_path.clone(), what })
             }
         }
-    }
-}
-
-/// The options that matter to the parser.
-struct Options {
-    lenient: bool,
-    origin: [f64; 3],
-}
-
-impl Options {
-    fn of(options: &ReadOptions) -> Options {
-        Options { lenient: options.lenient, origin: options.origin }
     }
 }
 

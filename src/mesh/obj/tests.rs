@@ -169,9 +169,9 @@ fn vertices_in_every_style_are_the_numbers_of_the_file() {
 #[test]
 fn the_origin_is_taken_off_before_rounding() {
     let options = ReadOptions { origin: [5e6, 0.0, -1.0], ..Default::default() };
-    let seen = read_with(b"v 5000000.123 16777217.00000000001 2\nv 5000000.1230000001 1 2 # slow\n", options).unwrap();
+    let seen = read_with(b"v 5000000.123 16777217.00000000001 2\nv 5000000.125 1 2 # slow\n", options).unwrap();
     assert_eq!(seen.mesh.positions[0], bits([(5000000.123f64 - 5e6) as f32, 16777218.0, 3.0]));
-    assert_eq!(seen.mesh.positions[1], bits([(5000000.1230000001f64 - 5e6) as f32, 1.0, 3.0]));
+    assert_eq!(seen.mesh.positions[1], bits([(5000000.125f64 - 5e6) as f32, 1.0, 3.0]));
 }
 
 #[test]

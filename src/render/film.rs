@@ -1,0 +1,78 @@
+//! The film: linear light of every pixel.
+
+use crate::error::{Error, Result};
+
+/// A picture in linear RGB, rows from the top.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Film {
+    width: u32,
+    height: u32,
+    pixels: Vec<[f32; 3]>,
+}
+
+impl Film {
+    /// A black film; fails if memory does not allow it.
+    pub fn new(width: u32, height: u32) -> Result<Film> {
+        let count = u64::from(width) * u64::from(height);
+        let bytes = count.saturating_mul(size_of::<[f32; 3]>() as u64);
+        let refuse = || {
+            let gib = bytes as f64 / f64::from(1 << 30);
+            Error::Option(format!(
+                "a picture of {width} x {height} needs {gib:.1} GiB of memory, more than there is; ask for a smaller size, or for parts with a crop"
+            ))
+        };
+        if available_memory().is_some_and(|free| bytes > free) {
+            return Err(refuse());
+        }
+        let mut pixels = Vec::new();
+        let count = usize::try_from(count).map_err(|_| refuse())?;
+        pixels.try_reserve_exact(count).map_err(|_| refuse())?;
+        pixels.resize(count, [0.0; 3]);
+        Ok(Film { width, height, pixels })
+    }
+
+    /// Width in pixels.
+    pub fn width(&self) -> u32 {
+        self.width
+    }
+
+    /// Height in pixels.
+    pub fn height(&self) -> u32 {
+        self.height
+    }
+
+    /// All pixels, rows from the top.
+    pub fn pixels(&self) -> &[[f32; 3]] {
+        &self.pixels
+    }
+
+    /// The pixel in column `x` from the left and row `y` from the top, both within the picture.
+    pub fn at(&self, x: u32, y: u32) -> [f32; 3] {
+        self.pixels[y as usize * self.width as usize + x as usize]
+    }
+
+    /// Writes a row of pixels from column `x` of row `y` on.
+    pub(super) fn put(&mut self, x: u32, y: u32, row: &[[f32; 3]]) {
+        let first = y as usize * self.width as usize + x as usize;
+        self.pixels[first..first + row.len()].copy_from_slice(row);
+    }
+}
+
+/// Bytes of memory that are free, where the system tells.
+fn available_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn refuses_what_memory_cannot_hold() {
+        let error = Film::new(u32::MAX, u32::MAX).unwrap_err();
+        assert!(error.to_string().contains("GiB"), "{error}");
+        assert_eq!(Film::new(3, 2).unwrap().pixels().len(), 6);
+    }
+}

@@ -1,0 +1,123 @@
+//! Leaving a surface: from the point that a ray met to a certified origin beside it.
+//!
+//! `origin` gives a point strictly on the wanted side of the surface itself. This file sees that no *other* surface lies
+//! between: the segment from the origin back to the point is traced through the whole scene, leaving out the surface that
+//! is left. It is traced backward because the origin is an exact f32 point and the other end then errs by 2^-24 of the
+//! segment only, which itself is a few ulps long.
+//!
+//! A surface met at the very end of the segment passes through the point (an edge, the other half of a rectangle, a twin
+//! face). It separates the origin from the ray's path if the origin and the path lie on different sides of it; the path
+//! is known, it is where the ray came from (or where it goes on to, through glass). In a crease that is sharper than the
+//! origin's distance the way along the normal is blocked; then the origin is looked for along the path instead. Where
+//! that is blocked too (sheets one ulp apart), the blocker is what the secondary ray meets first.
+
+use glam::DVec3;
+
+use super::object::{Contact, Kind, Part, strictly_on};
+use super::origin::{normal_of, point_bound, step_off, triangle_bound};
+use super::ray::{Origin, Start, WorldRay};
+use super::spot::{Anchor, Spot};
+use super::world::World;
+use crate::error::Result;
+
+/// How far the end of the segment may err, in parts of its length: a surface met there passes through the point.
+const END: f64 = 1.0 / 4096.0;
+/// Segments shorter than this (2^-60) have their direction scaled up, so that f32 holds it with all its digits.
+const SHORT: f64 = 1.0 / (1u64 << 60) as f64;
+/// Most surfaces looked at on one segment.
+const MOST_SHEETS: usize = 64;
+/// Distances tried along the path, in error bounds.
+const ALONG_PATH: [f64; 4] = [1.0, 4.0, 16.0, 64.0];
+
+/// How a surface is left.
+pub(super) enum Departure {
+    /// From this origin.
+    Free(Origin),
+    /// Not at all: this is met at once, by this segment (traced from the far side of it).
+    Blocked(Contact, WorldRay),
+    /// Not at all: no f32 point lies there.
+    Nowhere,
+}
+
+impl World {
+    /// An origin on the side of `spot` that is seen (`near`) or on the other; `path` (of unit length) points from the spot
+    /// into the free space of that side, along the ray that met it.
+    ///
+    /// The shift leans from the normal toward the path: along the normal alone an origin beside an edge would stay in the
+    /// plane of a neighbour at a right angle.
+    pub(super) fn leave(&self, spot: &Spot, near: bool, path: DVec3) -> Result<Departure> {
+        let side = if near { *spot } else { spot.turned() };
+        let Some(origin) = self.beside(&side, side.normal + path, 1.0) else { return Ok(Departure::Nowhere) };
+        let Some((contact, segment)) = self.between(&side, &origin, path)? else { return Ok(Departure::Free(origin)) };
+        for times in ALONG_PATH {
+            if let Some(origin) = self.beside(&side, path, times)
+                && self.between(&side, &origin, path)?.is_none()
+            {
+                return Ok(Departure::Free(origin));
+            }
+        }
+        Ok(Departure::Blocked(contact, segment))
+    }
+
+    /// A point certified to lie strictly on the side that `spot` shows, from its point along `along` (world space).
+    fn beside(&self, spot: &Spot, along: DVec3, times: f64) -> Option<Origin> {
+        let object = spot.omit.object;
+        let free = |world| Origin { world, start: Start { object, point: world.as_vec3() } };
+        let along = along.try_normalize()?;
+        match (&spot.anchor, &self.objects[object as usize].kind) {
+            (Anchor::Triangle { triangle, point }, kind) => {
+                let placed = match kind {
+                    Kind::Mesh(placed) if placed.to_local.is_some() => Some(placed),
+                    _ => None,
+                };
+                let along = placed.and_then(|p| p.to_local).map_or(along, |m| m.transform_vector3(along));
+                let along = along.try_normalize()?;
+                let certified = |o| strictly_on(triangle, o, spot.front);
+                let o = step_off(*point, along, triangle_bound(triangle, *point), times, certified)?;
+                let world = placed.map_or(o.as_dvec3(), |p| p.to_world.transform_point3(o.as_dvec3()));
+                Some(Origin { world, start: Start { object, point: o } })
+            }
+            (Anchor::Smooth, kind) => {
+                let certified = |o: glam::Vec3| {
+                    let side = match kind {
+                        Kind::Ball(ball) => ball.side(o.as_dvec3()),
+                        Kind::Flat(flat) => flat.side(o.as_dvec3()),
+                        _ => 0.0,
+                    };
+                    if spot.front { side > 0.0 } else { side < 0.0 }
+                };
+                step_off(spot.point, along, point_bound(spot.point), times, certified).map(|o| free(o.as_dvec3()))
+            }
+        }
+    }
+
+    /// The surface nearest to the spot that lies between it and `origin`, and the segment that found it.
+    fn between(&self, spot: &Spot, origin: &Origin, path: DVec3) -> Result<Option<(Contact, WorldRay)>> {
+        let back = spot.point - origin.world;
+        let scale = if back.abs().max_element() < SHORT { (1u64 << 60) as f64 } else { 1.0 };
+        let end = 1.0 / scale;
+        let mut segment = WorldRay::from(origin, back * scale, ((1.0 + END) * end) as f32);
+        if !self.any(&segment, spot.omit)? {
+            return Ok(None);
+        }
+        let (whole, mut blocker) = (segment, None);
+        for _ in 0..MOST_SHEETS {
+            let Some(contact) = self.closest(&segment, spot.omit)? else { break };
+            let at_end = f64::from(contact.t) >= (1.0 - END) * end;
+            if !at_end || self.separates(&contact, &whole, -back, path)? {
+                blocker = Some((contact, whole));
+            }
+            segment.tmin = contact.t.next_up();
+        }
+        Ok(blocker)
+    }
+
+    /// Whether the surface at `contact` parts the directions `a` and `b`.
+    fn separates(&self, contact: &Contact, segment: &WorldRay, a: DVec3, b: DVec3) -> Result<bool> {
+        let normal = match (&contact.part, &self.objects[contact.object as usize].kind) {
+            (Part::Mesh(found), Kind::Mesh(placed)) => placed.normals * normal_of(&found.triangle),
+            _ => self.spot(contact, segment)?.normal,
+        };
+        Ok(normal.dot(a) * normal.dot(b) < 0.0)
+    }
+}

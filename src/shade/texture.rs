@@ -1,0 +1,126 @@
+//! Textures: bilinear, repeating, with the picture's upper edge at v = 1 as OBJ has it.
+//!
+//! Files are decoded by crate `image` within its limits, so that a small file cannot claim all memory. Values are
+//! 8 bits a channel, as stored in the file ("linear as it is", as classic scenes expect), or decoded from sRGB where the
+//! picture will be sRGB-encoded. No mip-mapping: take more samples per pixel.
+
+use std::path::Path;
+
+use glam::DVec3;
+use image::ImageReader;
+
+use crate::error::{Error, Result};
+use crate::scene::ToneMap;
+
+/// Most pixels on a side.
+const SIDE: u32 = 32_768;
+/// Most bytes the decoder may use.
+const BYTES: u64 = 1 << 30;
+
+/// A picture wrapped over the unit square of texture coordinates.
+#[derive(Clone)]
+pub struct Texture {
+    width: usize,
+    height: usize,
+    /// Rows from the top.
+    texels: Vec<[u8; 3]>,
+    /// Linear value of each byte.
+    linear: [f32; 256],
+}
+
+impl Texture {
+    /// Reads a picture file.
+    pub fn open(path: &Path, tonemap: ToneMap) -> Result<Texture> {
+        let mut reader = ImageReader::open(path).map_err(Error::io(path, "open"))?;
+        let mut limits = image::Limits::default();
+        (limits.max_image_width, limits.max_image_height, limits.max_alloc) = (Some(SIDE), Some(SIDE), Some(BYTES));
+        reader.limits(limits);
+        let wrong = |e: image::ImageError| Error::Input { file: path.to_owned(), what: format!("texture: {e}") };
+        let reader = reader.with_guessed_format().map_err(Error::io(path, "read"))?;
+        let picture = reader.decode().map_err(wrong)?.into_rgb8();
+        let (width, height) = (picture.width() as usize, picture.height() as usize);
+        if width == 0 || height == 0 {
+            return Err(Error::Input { file: path.to_owned(), what: "texture: it has no pixels".into() });
+        }
+        let texels = picture.pixels().map(|p| p.0).collect();
+        Ok(Texture::new(width, height, texels, tonemap))
+    }
+
+    /// A texture from `width * height` texels, both at least 1, rows from the top.
+    pub fn new(width: usize, height: usize, texels: Vec<[u8; 3]>, tonemap: ToneMap) -> Texture {
+        assert!(width > 0 && height > 0 && texels.len() == width * height);
+        let value = |byte: usize| {
+            let stored = byte as f32 / 255.0;
+            match tonemap {
+                ToneMap::None => stored,
+                ToneMap::Srgb if stored <= 0.04045 => stored / 12.92,
+                ToneMap::Srgb => ((stored + 0.055) / 1.055).powf(2.4),
+            }
+        };
+        Texture { width, height, texels, linear: std::array::from_fn(value) }
+    }
+
+    /// The colour at (u, v), linear; black where a coordinate is not finite.
+    pub fn at(&self, u: f64, v: f64) -> DVec3 {
+        if !(u.is_finite() && v.is_finite()) {
+            return DVec3::ZERO;
+        }
+        // Texel centres lie at half-integers; the texture repeats.
+        let x = (u - u.floor()) * self.width as f64 - 0.5;
+        let y = (1.0 - (v - v.floor())) * self.height as f64 - 0.5;
+        let (left, top) = (x.floor(), y.floor());
+        let (fx, fy) = (x - left, y - top);
+        let (left, top) = (left as i64, top as i64);
+        let row = |y: i64| self.texel(left, y).lerp(self.texel(left + 1, y), fx);
+        row(top).lerp(row(top + 1), fy)
+    }
+
+    fn texel(&self, x: i64, y: i64) -> DVec3 {
+        let (x, y) = (x.rem_euclid(self.width as i64) as usize, y.rem_euclid(self.height as i64) as usize);
+        let texel = self.texels[y * self.width + x];
+        DVec3::from_array(texel.map(|byte| f64::from(self.linear[usize::from(byte)])))
+    }
+}
+
+impl std::fmt::Debug for Texture {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Texture({} x {})", self.width, self.height)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn checker() -> Texture {
+        // Upper row: red, green; lower row: blue, white.
+        Texture::new(2, 2, vec![[255, 0, 0], [0, 255, 0], [0, 0, 255], [255; 3]], ToneMap::None)
+    }
+
+    #[test]
+    fn v_runs_upward_and_texels_are_hit_at_their_centres() {
+        let t = checker();
+        assert_eq!(t.at(0.25, 0.75), DVec3::new(1.0, 0.0, 0.0));
+        assert_eq!(t.at(0.75, 0.75), DVec3::new(0.0, 1.0, 0.0));
+        assert_eq!(t.at(0.25, 0.25), DVec3::new(0.0, 0.0, 1.0));
+        assert_eq!(t.at(0.75, 0.25), DVec3::ONE);
+    }
+
+    #[test]
+    fn repeats_and_blends() {
+        let t = checker();
+        assert_eq!(t.at(0.25, 0.75), t.at(-2.75, 5.75));
+        assert_eq!(t.at(0.5, 0.75), DVec3::new(0.5, 0.5, 0.0));
+        // On the seam the last and the first column meet in equal parts.
+        assert_eq!(t.at(0.0, 0.75), DVec3::new(0.5, 0.5, 0.0));
+        assert_eq!(t.at(0.5, 0.5), DVec3::splat(0.5));
+        assert_eq!(t.at(f64::NAN, 0.0), DVec3::ZERO);
+        assert_eq!(t.at(1e300, 0.25), t.at(0.0, 0.25));
+    }
+
+    #[test]
+    fn srgb_is_decoded_when_the_picture_will_be_encoded() {
+        let t = Texture::new(1, 1, vec![[188, 0, 255]], ToneMap::Srgb);
+        assert!((t.at(0.5, 0.5) - DVec3::new(0.5028864, 0.0, 1.0)).abs().max_element() < 1e-6);
+    }
+}

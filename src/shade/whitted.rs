@@ -1,0 +1,280 @@
+//! The colour of a ray, and of the rays it gives rise to (Whitted, "An improved illumination model for shaded display",
+//! 1980), with an explicit stack.
+
+use glam::DVec3;
+
+use super::leave::Departure;
+use super::object::Contact;
+use super::ray::{Omit, Origin, WorldRay};
+use super::spot::Spot;
+use super::world::World;
+use crate::error::Result;
+use crate::scene::{Color, Light};
+
+/// A ray whose colour counts less than this (2^-20, in every channel) is not traced.
+const LEAST_WEIGHT: f64 = 1.0 / 1_048_576.0;
+/// The greatest f32 below 1: a light does not block its own light.
+const BEFORE_LIGHT: f32 = 1.0 - f32::EPSILON / 2.0;
+
+/// Rays by what they are for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RayCounts {
+    /// From the eye.
+    pub primary: u64,
+    /// Toward a light.
+    pub shadow: u64,
+    /// Mirrored, total reflection included.
+    pub mirror: u64,
+    /// Refracted.
+    pub refracted: u64,
+}
+
+impl std::ops::AddAssign for RayCounts {
+    fn add_assign(&mut self, other: RayCounts) {
+        self.primary += other.primary;
+        self.shadow += other.shadow;
+        self.mirror += other.mirror;
+        self.refracted += other.refracted;
+    }
+}
+
+/// Working space of one thread, and what it has counted.
+#[derive(Debug)]
+pub struct Scratch {
+    stack: Vec<Pending>,
+    /// Most bounces.
+    depth: u32,
+    /// Rays traced.
+    pub rays: RayCounts,
+}
+
+impl Scratch {
+    /// For rays of at most `depth` bounces.
+    pub fn new(depth: u32) -> Scratch {
+        Scratch { stack: Vec::new(), depth, rays: RayCounts::default() }
+    }
+}
+
+/// A ray that is still to be followed, and what its colour counts.
+#[derive(Debug)]
+struct Pending {
+    ray: WorldRay,
+    weight: Color,
+    bounces: u32,
+    /// What the ray is known to meet at once, and the segment that met it from behind.
+    blocker: Option<(Contact, WorldRay)>,
+}
+
+impl World {
+    /// The colour along a ray from the eye, linear.
+    pub fn color(&self, ray: WorldRay, scratch: &mut Scratch) -> Result<Color> {
+        scratch.rays.primary += 1;
+        scratch.stack.clear();
+        scratch.stack.push(Pending { ray, weight: Color::ONE, bounces: 0, blocker: None });
+        let mut sum = Color::ZERO;
+        while let Some(pending) = scratch.stack.pop() {
+            sum += match self.meet(&pending)? {
+                None => pending.weight * self.scene.background,
+                Some((spot, incoming)) => self.shade(&spot, incoming, &pending, scratch)?,
+            };
+        }
+        Ok(sum)
+    }
+
+    /// The place that a ray meets, and the unit direction in which it comes.
+    fn meet(&self, pending: &Pending) -> Result<Option<(Spot, DVec3)>> {
+        let along = |ray: &WorldRay| ray.direction.normalize_or_zero();
+        let Some((contact, segment)) = &pending.blocker else {
+            let contact = self.closest(&pending.ray, Omit::NOTHING)?;
+            let spot = contact.map(|c| self.spot(&c, &pending.ray)).transpose()?;
+            return Ok(spot.map(|spot| (spot, along(&pending.ray))));
+        };
+        // The segment came from the far side of the blocker.
+        let spot = self.spot(contact, segment)?.turned();
+        let incoming = along(&pending.ray);
+        Ok(Some((spot, if incoming.dot(spot.normal) < 0.0 { incoming } else { -along(segment) })))
+    }
+
+    /// The light that leaves `spot` against `incoming`, weighted, but for the rays that it puts on the stack.
+    fn shade(&self, spot: &Spot, incoming: DVec3, pending: &Pending, scratch: &mut Scratch) -> Result<Color> {
+        let surface = &spot.surface;
+        let mut near = None;
+        let mut color = Color::ZERO;
+        if surface.local != 0.0 {
+            color += self.local(spot, incoming, &mut near, scratch)? * surface.local;
+        }
+        let refracted = if surface.transmit == 0.0 { None } else { refract(spot, incoming) };
+        let mut mirrored = surface.reflect;
+        match refracted {
+            Some(direction) => {
+                let weight = Color::splat(surface.transmit);
+                color += self.secondary(spot, direction, weight, false, incoming, &mut None, pending, scratch)?;
+            }
+            // Total reflection: the transmitted part is mirrored too.
+            None => mirrored += Color::splat(surface.transmit),
+        }
+        if mirrored != Color::ZERO {
+            let direction = mirror(spot, incoming);
+            color += self.secondary(spot, direction, mirrored, true, incoming, &mut near, pending, scratch)?;
+        }
+        Ok(pending.weight * color)
+    }
+
+    /// Ambient, diffuse and specular light.
+    fn local(
+        &self,
+        spot: &Spot,
+        incoming: DVec3,
+        near: &mut Option<Departure>,
+        scratch: &mut Scratch,
+    ) -> Result<Color> {
+        let surface = &spot.surface;
+        let mut color = self.scene.ambient * surface.ambient;
+        for light in &self.scene.lights {
+            let (to_light, intensity) = match *light {
+                Light::Point { position, color } => (position - spot.point, color),
+                Light::Sun { direction, color } => (-direction, color),
+            };
+            let l = to_light.normalize_or_zero();
+            let cosine = spot.shading.dot(l);
+            if cosine <= 0.0 || spot.normal.dot(l) <= 0.0 {
+                continue;
+            }
+            let mut lit = cosine * surface.diffuse;
+            if surface.specular != Color::ZERO {
+                let h = (l - incoming).normalize_or_zero();
+                lit += spot.shading.dot(h).max(0.0).powf(surface.shininess) * surface.specular;
+            }
+            let lit = lit * intensity;
+            if lit != Color::ZERO && self.reaches(spot, incoming, light, near, scratch)? {
+                color += lit;
+            }
+        }
+        Ok(color)
+    }
+
+    /// Whether nothing stands between the spot and the light.
+    fn reaches(
+        &self,
+        spot: &Spot,
+        incoming: DVec3,
+        light: &Light,
+        near: &mut Option<Departure>,
+        scratch: &mut Scratch,
+    ) -> Result<bool> {
+        let Departure::Free(origin) = self.departure(spot, true, incoming, near)? else { return Ok(false) };
+        let ray = match *light {
+            Light::Point { position, .. } => WorldRay::from(origin, position - origin.world, BEFORE_LIGHT),
+            Light::Sun { direction, .. } => WorldRay::from(origin, -direction, f32::INFINITY),
+        };
+        scratch.rays.shadow += 1;
+        Ok(!self.any(&ray, Omit::NOTHING)?)
+    }
+
+    /// Puts a mirrored (`near`) or refracted ray on the stack, or returns what it counts without being traced.
+    #[allow(clippy::too_many_arguments)]
+    fn secondary(
+        &self,
+        spot: &Spot,
+        direction: DVec3,
+        weight: Color,
+        near: bool,
+        incoming: DVec3,
+        departure: &mut Option<Departure>,
+        pending: &Pending,
+        scratch: &mut Scratch,
+    ) -> Result<Color> {
+        let total = pending.weight * weight;
+        if pending.bounces >= scratch.depth || total.abs().max_element() < LEAST_WEIGHT {
+            return Ok(weight * self.scene.background);
+        }
+        let (ray, blocker) = match self.departure(spot, near, incoming, departure)? {
+            Departure::Free(origin) => (WorldRay::from(origin, direction, f32::INFINITY), None),
+            Departure::Blocked(contact, segment) => {
+                let origin = Origin { world: segment.origin, start: segment.start };
+                (WorldRay::from(&origin, direction, f32::INFINITY), Some((*contact, *segment)))
+            }
+            Departure::Nowhere => return Ok(weight * self.scene.background),
+        };
+        *(if near { &mut scratch.rays.mirror } else { &mut scratch.rays.refracted }) += 1;
+        scratch.stack.push(Pending { ray, weight: total, bounces: pending.bounces + 1, blocker });
+        Ok(Color::ZERO)
+    }
+
+    /// The departure from one side of a spot, found once.
+    fn departure<'d>(
+        &self,
+        spot: &Spot,
+        near: bool,
+        incoming: DVec3,
+        known: &'d mut Option<Departure>,
+    ) -> Result<&'d Departure> {
+        if known.is_none() {
+            let path = if near { -incoming } else { incoming };
+            *known = Some(self.leave(spot, near, path)?);
+        }
+        Ok(known.as_ref().unwrap_or(&Departure::Nowhere))
+    }
+}
+
+/// The mirrored direction; about the geometric normal where the shading normal would send it below the surface.
+fn mirror(spot: &Spot, incoming: DVec3) -> DVec3 {
+    let about = |n: DVec3| incoming - 2.0 * incoming.dot(n) * n;
+    let direction = about(spot.shading);
+    if direction.dot(spot.normal) > 0.0 { direction } else { about(spot.normal) }
+}
+
+/// The refracted direction by Snell's law, `None` at total reflection.
+fn refract(spot: &Spot, incoming: DVec3) -> Option<DVec3> {
+    let ior = spot.surface.ior;
+    let eta = if spot.front { 1.0 / ior } else { ior };
+    let n = if incoming.dot(spot.shading) < 0.0 { spot.shading } else { spot.normal };
+    let cosine = -incoming.dot(n);
+    let square = 1.0 - eta * eta * (1.0 - cosine * cosine);
+    // Also `None` for an index of refraction that is zero or no number.
+    (square >= 0.0 && eta.is_finite()).then(|| eta * incoming + (eta * cosine - square.sqrt()) * n)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::geometry::FaceId;
+    use crate::shade::Surface;
+    use crate::shade::spot::Anchor;
+
+    fn glass(front: bool) -> Spot {
+        let material = crate::scene::Material { transmit: 1.0, ior: 1.5, ..Default::default() };
+        Spot {
+            omit: Omit { object: 0, face: FaceId(0) },
+            point: DVec3::ZERO,
+            normal: DVec3::Y,
+            shading: DVec3::Y,
+            front,
+            surface: Surface::from(&material),
+            anchor: Anchor::Smooth,
+        }
+    }
+
+    #[test]
+    fn snell() {
+        let incoming = DVec3::new(0.6, -0.8, 0.0);
+        let inside = refract(&glass(true), incoming).unwrap();
+        assert!((inside.length() - 1.0).abs() < 1e-12 && (inside.x - 0.4).abs() < 1e-12 && inside.y < 0.0);
+        // Back out by the same angle.
+        let out = refract(&glass(false), inside).unwrap();
+        assert!((out - incoming).length() < 1e-12);
+        // sin = 0.8 > 1/1.5.
+        assert_eq!(refract(&glass(false), DVec3::new(0.8, -0.6, 0.0)), None);
+    }
+
+    #[test]
+    fn mirror_stays_above_the_surface() {
+        let mut spot = glass(true);
+        let incoming = DVec3::new(1.0, -0.1, 0.0).normalize();
+        assert!((mirror(&spot, incoming) - DVec3::new(1.0, 0.1, 0.0).normalize()).length() < 1e-12);
+        spot.shading = DVec3::new(0.5, 1.0, 0.0).normalize();
+        assert!(mirror(&spot, incoming).dot(DVec3::Y) > 0.0);
+        spot.shading = DVec3::new(-0.9, 0.1, 0.0).normalize();
+        assert!(mirror(&spot, incoming).dot(DVec3::Y) > 0.0);
+    }
+}

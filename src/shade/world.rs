@@ -1,0 +1,244 @@
+//! The scene made ready to be traced and shaded.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use glam::DVec3;
+
+use super::material::Surface;
+use super::object::{Contact, Kind, Object};
+use super::quadric::Flat;
+use super::ray::{Omit, WorldRay};
+use super::texture::Texture;
+use super::tree::{Item, Tree};
+use crate::error::{Error, Result};
+use crate::event::Monitor;
+use crate::format::{Flags, MaterialRecord};
+use crate::geometry::Aabb;
+use crate::map::Octree;
+use crate::scene::{Scene, ToneMap};
+use crate::trace::{Found, LinearTracer, OctreeTracer, Tracer};
+
+/// More objects than this get a tree over them.
+const TREE_FROM: usize = 16;
+/// How far below everything the automatic floor lies, in parts of the greatest extent (2^-16): near enough to look like
+/// contact, too far to share a coordinate.
+const FLOOR_GAP: f64 = 1.0 / 65_536.0;
+
+/// A scene, ready for rays. Shared by all threads.
+#[derive(Debug)]
+pub struct World {
+    pub(super) scene: Scene,
+    pub(super) meshes: Vec<Mesh>,
+    /// Shapes, then instances, in scene order; then the automatic floor.
+    pub(super) objects: Vec<Object>,
+    /// The scene's materials as surfaces.
+    pub(super) surfaces: Vec<Surface>,
+    /// Objects that every ray asks, in order.
+    always: Vec<u32>,
+    /// Over the rest.
+    tree: Option<Tree>,
+    /// Around all that has been placed, planes left out.
+    bounds: Option<[DVec3; 2]>,
+}
+
+/// A mesh as the shader needs it: something that answers rays, and where attributes come from.
+pub struct Mesh {
+    pub(super) tracer: Box<dyn Tracer>,
+    octree: Option<Arc<Octree>>,
+    /// Textures by material record.
+    textures: Vec<Option<Texture>>,
+}
+
+impl World {
+    /// Makes a scene ready; `meshes[i]` is the opened file of `scene.meshes[i]`.
+    ///
+    /// A mesh's textures are opened only if an instance takes its materials; one that cannot be read is warned of and
+    /// left out. Fails if the linear tracer (`oct off`) meets a damaged page, or if numbers of meshes do not agree.
+    pub fn new(scene: Scene, meshes: Vec<Arc<Octree>>, monitor: Monitor<'_>) -> Result<World> {
+        let with_textures = |i: usize| scene.instances.iter().any(|x| x.mesh == i && x.mtl);
+        let mesh = |(i, octree): (usize, Arc<Octree>)| -> Result<Mesh> {
+            let tracer: Box<dyn Tracer> = if scene.octree {
+                Box::new(OctreeTracer::new(octree.clone()))
+            } else {
+                Box::new(LinearTracer::new(&octree)?)
+            };
+            let textures = if with_textures(i) { textures(&octree, scene.tonemap, monitor) } else { Vec::new() };
+            Ok(Mesh { tracer, octree: Some(octree), textures })
+        };
+        let meshes = meshes.into_iter().enumerate().map(mesh).collect::<Result<Vec<_>>>()?;
+        World::with_meshes(scene, meshes)
+    }
+
+    /// The same with any tracers.
+    pub fn with_meshes(scene: Scene, meshes: Vec<Mesh>) -> Result<World> {
+        let named = |i: &usize| *i < meshes.len();
+        if meshes.len() != scene.meshes.len() || !scene.instances.iter().all(|x| named(&x.mesh)) {
+            let (have, want) = (meshes.len(), scene.meshes.len());
+            return Err(Error::Option(format!("the scene names {want} meshes, but {have} were opened")));
+        }
+        let surfaces: Vec<Surface> = scene.materials.iter().map(Surface::from).collect();
+        let shapes = scene.shapes.iter().map(Object::of_shape);
+        let objects: Vec<Object> = shapes.chain(scene.instances.iter().map(Object::of_instance)).collect();
+        if objects.iter().any(|o| o.material >= surfaces.len()) || scene.floor.is_some_and(|m| m >= surfaces.len()) {
+            return Err(Error::Option("the scene names a material that it does not have".into()));
+        }
+        let bounds = objects.iter().filter_map(|o| o.bounds(&meshes));
+        let bounds = bounds.reduce(|a, b| [a[0].min(b[0]), a[1].max(b[1])]);
+        let mut world = World { scene, meshes, objects, surfaces, always: Vec::new(), tree: None, bounds };
+        world.add_floor();
+        world.arrange(TREE_FROM);
+        Ok(world)
+    }
+
+    /// The scene.
+    pub fn scene(&self) -> &Scene {
+        &self.scene
+    }
+
+    /// The box around all that has been placed (planes left out), `None` if that is nothing.
+    pub fn bounds(&self) -> Option<[DVec3; 2]> {
+        self.bounds
+    }
+
+    /// An error if a mesh's file was cut short while in use: no colour found since then holds.
+    pub fn fault(&self) -> Result<()> {
+        self.meshes.iter().filter_map(|m| m.octree.as_ref()).try_for_each(|octree| octree.fault())
+    }
+
+    /// Puts the floor that the scene wishes just under everything.
+    fn add_floor(&mut self) {
+        let Some(material) = self.scene.floor else { return };
+        let [lo, hi] = self.bounds.unwrap_or([DVec3::ZERO; 2]);
+        let y = lo.y - (hi - lo).max_element() * FLOOR_GAP;
+        let kind = Kind::Flat(Flat { point: DVec3::new(0.0, y, 0.0), normal: DVec3::Y });
+        self.objects.push(Object { kind, material });
+    }
+
+    /// Decides which objects stand in a tree: those with a box, if there are more than `tree_from`.
+    pub(super) fn arrange(&mut self, tree_from: usize) {
+        let item = |(object, o): (u32, &Object)| {
+            let [min, max] = o.bounds(&self.meshes)?;
+            let (slack, size) = o.slack(&self.meshes);
+            Some(Item { object, min, max, slack, size })
+        };
+        let items: Vec<Item> = (0..).zip(&self.objects).filter_map(item).collect();
+        if items.len() > tree_from {
+            self.always =
+                (0..).zip(&self.objects).filter(|(_, o)| matches!(o.kind, Kind::Flat(_))).map(|x| x.0).collect();
+            self.tree = Some(Tree::new(items));
+        } else {
+            self.always = (0..).zip(&self.objects).map(|x| x.0).collect();
+            self.tree = None;
+        }
+    }
+
+    /// What the ray meets first: least t, then the object that comes first in the scene.
+    pub fn closest(&self, ray: &WorldRay, omit: Omit) -> Result<Option<Contact>> {
+        let mut best: Option<Contact> = None;
+        let mut ask = |object: u32| -> Result<f32> {
+            let tmax = best.map_or(ray.tmax, |b| b.t);
+            let found = self.objects[object as usize].closest(&self.meshes, object, ray, tmax, omit)?;
+            if let Some(found) = found
+                && best.is_none_or(|b| found.t < b.t || (found.t == b.t && found.object < b.object))
+            {
+                best = Some(found);
+            }
+            Ok(best.map_or(ray.tmax, |b| b.t))
+        };
+        let mut far = ray.tmax;
+        for &object in &self.always {
+            far = ask(object)?;
+        }
+        if let Some(tree) = &self.tree {
+            tree.visit(ray.origin, ray.direction, ray.tmin, far, ask)?;
+        }
+        Ok(best)
+    }
+
+    /// Whether the ray meets anything.
+    pub fn any(&self, ray: &WorldRay, omit: Omit) -> Result<bool> {
+        for &object in &self.always {
+            if self.objects[object as usize].any(&self.meshes, object, ray, omit)? {
+                return Ok(true);
+            }
+        }
+        let Some(tree) = &self.tree else { return Ok(false) };
+        let mut met = false;
+        tree.visit(ray.origin, ray.direction, ray.tmin, ray.tmax, |object| -> Result<f32> {
+            met = self.objects[object as usize].any(&self.meshes, object, ray, omit)?;
+            Ok(if met { -1.0 } else { ray.tmax })
+        })?;
+        Ok(met)
+    }
+}
+
+impl Mesh {
+    /// A mesh without attributes.
+    pub fn bare(tracer: Box<dyn Tracer>) -> Mesh {
+        Mesh { tracer, octree: None, textures: Vec::new() }
+    }
+
+    /// The box around its triangles.
+    pub(super) fn bounds(&self) -> Aabb {
+        self.tracer.bounds()
+    }
+
+    /// The vertex normals of a hit triangle.
+    pub(super) fn normals(&self, found: &Found) -> Result<Option<[[f32; 3]; 3]>> {
+        match &self.octree {
+            Some(octree) if octree.flags().has(Flags::NORMALS) => Ok(octree.page(found.page)?.normals(found.reference)),
+            _ => Ok(None),
+        }
+    }
+
+    /// The texture coordinates of a hit triangle.
+    pub(super) fn texcoords(&self, found: &Found) -> Result<Option<[[f32; 2]; 3]>> {
+        match &self.octree {
+            Some(octree) if octree.flags().has(Flags::TEXCOORDS) => {
+                Ok(octree.page(found.page)?.texcoords(found.reference))
+            }
+            _ => Ok(None),
+        }
+    }
+
+    /// The mesh's own material of a hit triangle, if it has one, and its texture.
+    pub(super) fn material(&self, found: &Found) -> Result<Option<(&MaterialRecord, Option<&Texture>)>> {
+        let Some(octree) = &self.octree else { return Ok(None) };
+        if !octree.flags().has(Flags::MATERIALS) {
+            return Ok(None);
+        }
+        let number = octree.page(found.page)?.material(found.reference) as usize;
+        let record = number.checked_sub(1).and_then(|i| octree.materials().get(i));
+        Ok(record.map(|r| (r, self.textures.get(number - 1).and_then(Option::as_ref))))
+    }
+}
+
+impl std::fmt::Debug for Mesh {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "Mesh({:?}, {:?})", self.bounds(), self.textures)
+    }
+}
+
+/// The textures of a mesh's materials, as far as they can be read; the rest is warned of, once a file.
+fn textures(octree: &Octree, tonemap: ToneMap, monitor: Monitor<'_>) -> Vec<Option<Texture>> {
+    if !octree.flags().has(Flags::TEXCOORDS) {
+        return Vec::new();
+    }
+    let folder = octree.path().parent().unwrap_or(Path::new(""));
+    let mut known: Vec<(String, Option<Texture>)> = Vec::new();
+    let mut open = |record: &MaterialRecord| {
+        let name = octree.string(record.map_kd);
+        if name.is_empty() {
+            return None;
+        }
+        if let Some((_, texture)) = known.iter().find(|(n, _)| n == name) {
+            return texture.clone();
+        }
+        let texture = Texture::open(&folder.join(name), tonemap);
+        let texture = texture.map_err(|e| monitor.warn(format!("{e}; going on without this texture"))).ok();
+        known.push((name.to_owned(), texture.clone()));
+        texture
+    };
+    octree.materials().iter().map(&mut open).collect()
+}

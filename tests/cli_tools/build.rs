@@ -1,0 +1,206 @@
+//! octbuild.
+
+use std::io::Write;
+use std::process::Stdio;
+use std::time::Duration;
+
+use super::support::*;
+
+#[test]
+fn says_what_it_built() {
+    let lab = Lab::new();
+    lab.write("ball.obj", ball(24, 12));
+    let output = lab.run("octbuild", &["ball.obj", "-o", "ball.oct", "--stats", "stats.json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", told(&output));
+    let triangles = ball_triangles(24, 12);
+    let stats = lab.json("stats.json");
+    let bytes = lab.read("ball.oct").len() as u64;
+    assert_eq!(stats["schema"], 1);
+    assert_eq!(stats["triangles"], triangles);
+    assert_eq!(stats["vertices"], 2 + 24 * 11);
+    assert_eq!(stats["bytes"], bytes);
+    assert!((stats["bytes_per_triangle"].as_f64().unwrap() - bytes as f64 / triangles as f64).abs() < 1e-9);
+    for reason in ["degenerate", "non_finite", "bad_index", "too_few_corners"] {
+        assert_eq!(stats["dropped"][reason], 0, "{reason}");
+    }
+    for number in ["seconds", "cpu_seconds", "peak_rss_bytes"] {
+        assert!(stats[number].as_f64().unwrap() > 0.0, "{number}");
+    }
+    assert!(!stats["phases"].as_array().unwrap().is_empty());
+    assert!(output.stdout.is_empty());
+    assert!(told(&output).starts_with("ball.oct: 528 triangles, "), "{}", told(&output));
+    assert_eq!(lab.files(), ["ball.obj", "ball.oct", "stats.json"]);
+}
+
+#[test]
+fn statistics_go_to_standard_output_and_quiet_is_quiet() {
+    let lab = Lab::new();
+    lab.write("a.obj", SQUARE);
+    let output = lab.run("octbuild", &["a.obj", "-o", "a.oct", "-q", "--stats", "-"]);
+    assert_eq!(told(&output), "");
+    let stats: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(stats["triangles"], 2);
+}
+
+#[test]
+fn reads_standard_input() {
+    let lab = Lab::with_ball();
+    let output = lab.run_with("octbuild", &["-", "-o", "piped.oct"], ball(24, 12).as_bytes());
+    assert_eq!(output.status.code(), Some(0), "{}", told(&output));
+    assert_eq!(lab.read("piped.oct"), lab.read("ball.oct"));
+}
+
+#[test]
+fn threads_do_not_change_a_byte() {
+    let lab = Lab::new();
+    lab.write("ball.obj", ball(64, 48));
+    for split in ["sah", "octree", "strict"] {
+        for threads in ["1", "3"] {
+            let out = format!("{split}{threads}.oct");
+            lab.done("octbuild", &["ball.obj", "-o", &out, "--split", split, "--threads", threads, "--brick", "500"]);
+        }
+        assert!(lab.read(&format!("{split}1.oct")) == lab.read(&format!("{split}3.oct")), "{split}");
+    }
+}
+
+#[test]
+fn counts_what_it_drops() {
+    let lab = Lab::new();
+    lab.write("a.obj", format!("{SQUARE}v nan 0 0\nf 1 2 2\nf 1 2\nf 1 2 5\nf 1 2 3 4\n"));
+    let output = lab.run("octbuild", &["a.obj", "-o", "a.oct", "--stats", "s.json"]);
+    assert_eq!(output.status.code(), Some(0), "{}", told(&output));
+    let stats = lab.json("s.json");
+    assert_eq!(stats["triangles"], 4);
+    assert_eq!(stats["dropped"]["degenerate"], 1);
+    assert_eq!(stats["dropped"]["non_finite"], 1);
+    assert_eq!(stats["dropped"]["too_few_corners"], 1);
+    assert!(told(&output).contains("dropped 1 triangles of zero area, 1 triangles that are not finite"));
+}
+
+#[test]
+fn lenient_goes_on_where_strict_stops() {
+    let lab = Lab::new();
+    lab.write("a.obj", format!("{SQUARE}f 1 2 99\n"));
+    let error = lab.fails(2, "octbuild", &["a.obj", "-o", "a.oct"]);
+    assert!(error.contains("a.obj:7:7") && error.contains("99"), "{error}");
+    assert_eq!(lab.files(), ["a.obj"]);
+    lab.done("octbuild", &["a.obj", "-o", "a.oct", "--lenient", "--stats", "s.json"]);
+    assert_eq!(lab.json("s.json")["dropped"]["bad_index"], 1);
+}
+
+#[test]
+fn malformed_numbers_are_shown_with_a_caret() {
+    let lab = Lab::new();
+    lab.write("a.obj", "v 0 0 0\nv 1 zero 0\n");
+    assert_told!("octbuild_malformed_number", lab.fails(2, "octbuild", &["a.obj", "-o", "a.oct"]));
+}
+
+#[test]
+fn wrong_inputs_are_input_errors() {
+    let lab = Lab::new();
+    lab.write("empty.obj", "");
+    lab.write("points.obj", "v 0 0 0\n");
+    std::fs::create_dir(lab.path("folder.obj")).unwrap();
+    for input in ["missing.obj", "folder.obj", "empty.obj", "points.obj"] {
+        let error = lab.fails(2, "octbuild", &[input, "-o", "a.oct"]);
+        assert!(error.contains(input), "{error}");
+    }
+    assert!(!lab.path("a.oct").exists());
+}
+
+#[test]
+fn wrong_usage_is_refused() {
+    let lab = Lab::new();
+    lab.write("a.obj", SQUARE);
+    for args in [
+        &["a.obj"][..],
+        &["-o", "a.oct"],
+        &["a.obj", "-o", "a.oct", "--leaf", "17"],
+        &["a.obj", "-o", "a.oct", "--leaf", "0"],
+        &["a.obj", "-o", "a.oct", "--depth", "22", "--split", "strict"],
+        &["a.obj", "-o", "a.oct", "--cell", "4"],
+        &["a.obj", "-o", "a.oct", "--brick", "0"],
+        &["a.obj", "-o", "a.oct", "--split", "bvh"],
+        &["a.obj", "-o", "a.oct", "--origin", "1,2"],
+        &["a.obj", "-o", "a.oct", "--threads", "0"],
+        &["a.obj", "-o", "-"],
+        &["a.obj", "-o", "a.obj"],
+        // Flags of later versions are not accepted and ignored.
+        &["a.obj", "-o", "a.oct", "--memory", "1G"],
+        &["a.obj", "-o", "a.oct", "--resume"],
+        &["a.obj", "-o", "a.oct", "--compress", "zstd"],
+        &["a.obj", "-o", "a.oct", "--positions", "grid"],
+        &["a.obj", "-o", "a.oct", "--no-lod"],
+    ] {
+        lab.fails(2, "octbuild", args);
+    }
+    assert_eq!(lab.files(), ["a.obj"]);
+}
+
+#[test]
+fn places_that_cannot_be_written_are_the_machines_failure() {
+    let lab = Lab::new();
+    lab.write("a.obj", SQUARE);
+    std::fs::create_dir(lab.path("folder")).unwrap();
+    for (place, named) in [("a.obj/a.oct", "a.obj"), ("no/such/a.oct", "no/such"), ("folder", "folder")] {
+        let error = lab.fails(4, "octbuild", &["a.obj", "-o", place]);
+        assert!(error.contains(&format!("error: {named}")), "{error}");
+    }
+    lab.fails(4, "octbuild", &["a.obj", "-o", "a.oct", "--stats", "a.obj/s.json"]);
+    if cfg!(target_os = "linux") {
+        lab.fails(4, "octbuild", &["a.obj", "-o", "/dev/full"]);
+        lab.fails(4, "octbuild", &["a.obj", "-o", "b.oct", "--stats", "/dev/full"]);
+    }
+    assert_eq!(std::fs::read_dir(lab.path("folder")).unwrap().count(), 0);
+}
+
+/// octbuild in the middle of its input, which never ends.
+fn building(lab: &Lab) -> std::process::Child {
+    let mut command = lab.command("octbuild", &["-", "-o", "a.oct"]);
+    let mut child = command.stdin(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    child.stdin.as_mut().unwrap().write_all(ball(64, 64).as_bytes()).unwrap();
+    std::thread::sleep(Duration::from_millis(500));
+    assert_eq!(child.try_wait().unwrap(), None, "it should still wait for more");
+    child
+}
+
+#[cfg(unix)]
+#[test]
+fn a_killed_build_leaves_nothing_that_looks_whole() {
+    let lab = Lab::new();
+    let mut child = building(&lab);
+    signal(&child, "KILL");
+    wait(&mut child);
+    assert!(lab.files().iter().all(|name| !name.ends_with(".oct")), "{:?}", lab.files());
+    lab.write("a.oct", "older");
+    let mut child = building(&lab);
+    signal(&child, "KILL");
+    wait(&mut child);
+    assert_eq!(lab.read("a.oct"), b"older");
+}
+
+#[cfg(unix)]
+#[test]
+fn interrupted_twice_it_ends_at_once() {
+    let lab = Lab::new();
+    let mut child = building(&lab);
+    signal(&child, "INT");
+    std::thread::sleep(Duration::from_millis(100));
+    // It may already have ended, which is as good.
+    if child.try_wait().unwrap().is_none() {
+        signal(&child, "INT");
+    }
+    assert_eq!(wait(&mut child), Some(130));
+    assert!(lab.files().iter().all(|name| !name.ends_with(".oct")), "{:?}", lab.files());
+}
+
+#[test]
+fn help_and_version() {
+    let lab = Lab::new();
+    for tool in ["octbuild", "octinfo", "octrender", "octtrace"] {
+        let help = String::from_utf8(lab.done(tool, &["--help"])).unwrap();
+        assert!(help.contains("Examples:") && help.contains("--quiet"), "{help}");
+        let version = String::from_utf8(lab.done(tool, &["--version"])).unwrap();
+        assert_eq!(version, format!("{tool} {}\noctree file format 1\n", env!("CARGO_PKG_VERSION")));
+    }
+}

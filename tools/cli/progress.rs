@@ -1,0 +1,200 @@
+//! Progress and warnings on standard error: a bar with the time left on a terminal, a plain line now and then elsewhere.
+
+use std::io::IsTerminal;
+use std::sync::Mutex;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use octrace::{Event, Severity};
+
+use super::diagnostics;
+
+/// Time between plain lines.
+const LINE_EVERY: Duration = Duration::from_secs(5);
+/// Work shorter than this gets no plain line at all.
+const FIRST_LINE: Duration = Duration::from_secs(1);
+/// Warnings shown; further ones are only counted.
+const WARNINGS_SHOWN: u64 = 50;
+
+/// Shows the events of one run.
+pub struct Reporter {
+    name: String,
+    quiet: bool,
+    warnings: AtomicU64,
+    display: Display,
+}
+
+enum Display {
+    /// `-q`.
+    None,
+    /// Standard error is a terminal.
+    Bar(ProgressBar),
+    /// It is not.
+    Lines(Mutex<Lines>),
+}
+
+/// What the plain lines need to know.
+struct Lines {
+    phase: &'static str,
+    phase_start: Instant,
+    next: Instant,
+}
+
+impl Reporter {
+    /// A reporter for the tool `name`.
+    pub fn new(name: &str, quiet: bool) -> Reporter {
+        let now = Instant::now();
+        let display = if quiet {
+            Display::None
+        } else if std::io::stderr().is_terminal() {
+            Display::Bar(bar())
+        } else {
+            Display::Lines(Mutex::new(Lines { phase: "", phase_start: now, next: now + FIRST_LINE }))
+        };
+        Reporter { name: name.to_owned(), quiet, warnings: AtomicU64::new(0), display }
+    }
+
+    /// Whether the user asked for silence.
+    pub fn quiet(&self) -> bool {
+        self.quiet
+    }
+
+    /// Takes the bar away and says how many warnings were not shown.
+    pub fn finish(&self) {
+        if let Display::Bar(bar) = &self.display {
+            bar.finish_and_clear();
+        }
+        let hidden = self.warnings.swap(0, Ordering::Relaxed).saturating_sub(WARNINGS_SHOWN);
+        if hidden > 0 {
+            let text = format!("{hidden} more warnings are not shown");
+            anstream::eprintln!("{}", diagnostics::render_message(Severity::Warning, &text));
+        }
+    }
+
+    /// Shows an event.
+    pub fn show(&self, event: Event) {
+        match event {
+            Event::Phase { name } => self.phase(name),
+            Event::Progress { done, total, unit } => self.progress(done, total, unit),
+            Event::Warning(text) => self.warn(|| diagnostics::render_message(Severity::Warning, &text)),
+            Event::Diagnostic(d) => self.warn(|| diagnostics::render(&d)),
+            _ => {}
+        }
+    }
+
+    fn phase(&self, name: &'static str) {
+        match &self.display {
+            Display::None => {}
+            Display::Bar(bar) => {
+                bar.reset();
+                bar.unset_length();
+                bar.set_style(style(None));
+                bar.set_message(name);
+            }
+            Display::Lines(lines) => {
+                let mut lines = lines.lock().unwrap_or_else(|e| e.into_inner());
+                let now = Instant::now();
+                (lines.phase, lines.phase_start) = (name, now);
+                if lines.due(now, LINE_EVERY) {
+                    eprintln!("{}: {name}", self.name);
+                }
+            }
+        }
+    }
+
+    fn progress(&self, done: u64, total: Option<u64>, unit: &'static str) {
+        match &self.display {
+            Display::None => {}
+            Display::Bar(bar) => {
+                if bar.length() != total {
+                    total.map_or_else(|| bar.unset_length(), |t| bar.set_length(t));
+                    bar.set_style(style(total));
+                }
+                bar.set_prefix(unit);
+                bar.set_position(done);
+            }
+            Display::Lines(lines) => {
+                // A thread that finds another at it has nothing to add.
+                let Ok(mut lines) = lines.try_lock() else { return };
+                let now = Instant::now();
+                if lines.due(now, LINE_EVERY) {
+                    let line = plain_line(lines.phase, done, total, unit, now - lines.phase_start);
+                    eprintln!("{}: {line}", self.name);
+                }
+            }
+        }
+    }
+
+    fn warn(&self, text: impl FnOnce() -> String) {
+        if self.warnings.fetch_add(1, Ordering::Relaxed) >= WARNINGS_SHOWN {
+            return;
+        }
+        match &self.display {
+            Display::Bar(bar) => bar.suspend(|| anstream::eprintln!("{}", text())),
+            _ => anstream::eprintln!("{}", text()),
+        }
+    }
+}
+
+impl Lines {
+    /// Whether a line may be printed now; if so, the next may come after `pause`.
+    fn due(&mut self, now: Instant, pause: Duration) -> bool {
+        let due = now >= self.next;
+        if due {
+            self.next = now + pause;
+        }
+        due
+    }
+}
+
+/// The bar, which ticks by itself.
+fn bar() -> ProgressBar {
+    let bar = ProgressBar::no_length().with_style(style(None));
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}
+
+/// With a total: phase, bar, per cent, time left; without: phase, spinner, count.
+fn style(total: Option<u64>) -> ProgressStyle {
+    let template = match total {
+        Some(_) => "{msg:>9} {wide_bar} {percent:>3} % of {human_len} {prefix}, {eta} left",
+        None => "{msg:>9} {spinner} {human_pos} {prefix}",
+    };
+    ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
+}
+
+/// A line such as `scan: 12 % of 300 bytes, 8 s left`.
+fn plain_line(phase: &str, done: u64, total: Option<u64>, unit: &str, since: Duration) -> String {
+    let Some(total) = total.filter(|&t| t > 0) else { return format!("{phase}: {done} {unit}") };
+    let share = done as f64 / total as f64;
+    let left = if share > 0.0 {
+        format!(", {:.0} s left", since.as_secs_f64() * (1.0 - share).max(0.0) / share)
+    } else {
+        String::new()
+    };
+    format!("{phase}: {:.0} % of {total} {unit}{left}", share * 100.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn plain_lines() {
+        let ten = Duration::from_secs(10);
+        assert_eq!(plain_line("scan", 25, Some(100), "bytes", ten), "scan: 25 % of 100 bytes, 30 s left");
+        assert_eq!(plain_line("scan", 0, Some(100), "bytes", ten), "scan: 0 % of 100 bytes");
+        assert_eq!(plain_line("scan", 7, None, "faces", ten), "scan: 7 faces");
+        assert_eq!(plain_line("scan", 7, Some(0), "faces", ten), "scan: 7 faces");
+    }
+
+    #[test]
+    fn lines_keep_their_distance() {
+        let now = Instant::now();
+        let mut lines = Lines { phase: "", phase_start: now, next: now + FIRST_LINE };
+        assert!(!lines.due(now, LINE_EVERY));
+        assert!(lines.due(now + FIRST_LINE, LINE_EVERY));
+        assert!(!lines.due(now + FIRST_LINE, LINE_EVERY));
+    }
+}

@@ -1,0 +1,75 @@
+//! Statistics for other programs: peak memory, processor time, and the JSON file.
+
+use std::path::Path;
+
+use octrace::Error;
+
+use super::args::is_stdio;
+use super::output;
+
+/// The `schema` field of every statistics file.
+pub const SCHEMA: u32 = 1;
+
+/// Writes statistics as JSON: to standard output for `-`, else to a file that appears whole or not at all.
+pub fn write(path: &Path, stats: &impl serde::Serialize) -> Result<(), Error> {
+    let mut text = serde_json::to_string_pretty(stats)
+        .map_err(|e| Error::Option(format!("cannot write statistics as JSON: {e}")))?;
+    text.push('\n');
+    if is_stdio(path) {
+        return output::print(&text);
+    }
+    output::write_whole(path, text.as_bytes())
+}
+
+/// Peak resident set of this process in bytes; 0 where the system does not tell.
+pub fn peak_rss_bytes() -> u64 {
+    high_water_mark().or_else(usage_peak).unwrap_or(0)
+}
+
+/// Linux: `VmHWM`, which counts anonymous, mapped and shared pages.
+fn high_water_mark() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|l| l.strip_prefix("VmHWM:"))?;
+    let kib: u64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib * 1024)
+}
+
+#[cfg(unix)]
+fn usage_peak() -> Option<u64> {
+    let peak = nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_SELF).ok()?.max_rss();
+    let unit = if cfg!(target_vendor = "apple") { 1 } else { 1024 };
+    Some(u64::try_from(peak).ok()? * unit)
+}
+
+#[cfg(not(unix))]
+fn usage_peak() -> Option<u64> {
+    None
+}
+
+/// Processor time of this process so far, user and system, in seconds; 0 where the system does not tell.
+#[cfg(unix)]
+pub fn cpu_seconds() -> f64 {
+    let seconds = |t: nix::sys::time::TimeVal| t.tv_sec() as f64 + t.tv_usec() as f64 * 1e-6;
+    nix::sys::resource::getrusage(nix::sys::resource::UsageWho::RUSAGE_SELF)
+        .map_or(0.0, |u| seconds(u.user_time()) + seconds(u.system_time()))
+}
+
+/// Processor time; not known on this system.
+#[cfg(not(unix))]
+pub fn cpu_seconds() -> f64 {
+    0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_process_has_used_something() {
+        let block = vec![1u8; 64 << 20];
+        assert_eq!(block.iter().map(|&b| u64::from(b)).sum::<u64>(), 64 << 20);
+        if cfg!(target_os = "linux") {
+            assert!(peak_rss_bytes() > 64 << 20 && cpu_seconds() > 0.0);
+        }
+    }
+}
