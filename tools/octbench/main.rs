@@ -1,20 +1,283 @@
-//! octbench: accuracy, speed and their trade.
-#![allow(dead_code)]
+//! octbench: how exact, how fast, and what one costs the other.
+//!
+//! It carries its own judge: an oracle that shares no line with the library ([`oracle`]), families of rays and meshes that
+//! tracers get wrong ([`families`]), and naive tracers to compare with ([`yardstick`]).
+
 mod accuracy;
+mod bench;
+#[path = "../cli/mod.rs"]
+mod cli;
 mod families;
 mod oracle;
+mod planet;
 mod random;
+mod tradeoff;
 mod yardstick;
 
-fn main() {
-    let rays = std::env::args().nth(1).map_or(100_000, |x| x.parse().unwrap());
-    let families = std::env::args().skip(2).map(|x| x.parse().unwrap()).collect();
-    let plan = accuracy::Plan { rays, families, seed: 1 };
-    let start = std::time::Instant::now();
-    let reports = accuracy::run(&plan, |r| {
-        println!("{:3} {:50} rays {} hits {} wrong {} (missed {} false {} tri {} doubled {} odd {} any {} uv {}) ulp {:?} {:.2} Mr/s", r.number, r.name, r.rays, r.hits, r.disagreements(), r.missed, r.false_hits, r.wrong_triangle, r.doubled, r.odd_crossings, r.wrong_any, r.wrong_uv, r.ulp_histogram, r.mrays_per_second);
-        for e in &r.examples { println!("      {e}"); }
-    })
-    .unwrap();
-    println!("{} rays, {} disagreements, {:?}", reports.iter().map(|r| r.rays).sum::<u64>(), reports.iter().map(|r| r.disagreements()).sum::<u64>(), start.elapsed());
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::ExitCode;
+use std::time::Instant;
+
+use clap::{Parser, Subcommand};
+use octrace::{Error, Result};
+
+use accuracy::report::{self, FamilyReport, Report};
+use accuracy::{Plan, closed, mirror, replay};
+use cli::args::{Common, StatsFile};
+use cli::output::{Whole, print};
+use cli::{Arguments, CHECK_FAILED, Session};
+
+/// Measures accuracy, speed, and the trade between them
+#[derive(Parser)]
+#[command(name = "octbench", version, after_help = EXAMPLES)]
+struct Args {
+    #[command(subcommand)]
+    command: Command,
+    #[command(flatten)]
+    common: Common,
+}
+
+const EXAMPLES: &str = "\
+Exit code 1: something disagrees with the oracle.
+
+Examples:
+  octbench accuracy --rays 1e6 --stats accuracy.json
+  octbench accuracy --model bunny.obj --rays 1e6
+  octbench closed --rays 1e7
+  octbench tradeoff --model bunny.obj -o tradeoff
+  octbench mesh -n 1e6 -o planet.obj
+";
+
+#[derive(Subcommand)]
+enum Command {
+    /// Hold the tracer to the exact oracle on the families of hard cases
+    Accuracy(Accuracy),
+    /// Replay cases kept as bit patterns
+    Replay(Replay),
+    /// Count crossings of a closed mesh, which must be even, and escapes from inside
+    Closed(Closed),
+    /// Follow paths through a box of mirrors, which none may leave
+    Mirrors(Mirrors),
+    /// Speed against error: this tracer and naive ones, on the same rays
+    Tradeoff(tradeoff::Options),
+    /// Write a closed planet as OBJ
+    Mesh(MeshOptions),
+}
+
+#[derive(clap::Args)]
+struct Accuracy {
+    /// Aim at this mesh instead of the families' own
+    #[arg(long, value_name = "FILE.obj")]
+    model: Option<PathBuf>,
+    /// Rays in all, spread over the families (1e6 reads as a million)
+    #[arg(long, value_name = "N", default_value = "1e6", value_parser = count)]
+    rays: u64,
+    /// Only these families, by number
+    #[arg(long, value_name = "N,N,..", value_delimiter = ',')]
+    families: Vec<u32>,
+    /// Seed of everything
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// Keep cases that disagree in this folder, to be replayed
+    #[arg(long, value_name = "DIR")]
+    keep: Option<PathBuf>,
+    #[command(flatten)]
+    stats: StatsFile,
+}
+
+#[derive(clap::Args)]
+struct Replay {
+    /// Files of cases
+    #[arg(value_name = "FILE", required = true)]
+    files: Vec<PathBuf>,
+    #[command(flatten)]
+    stats: StatsFile,
+}
+
+#[derive(clap::Args)]
+struct Closed {
+    /// A closed mesh [default: a planet of 100,000 triangles]
+    #[arg(long, value_name = "FILE.obj")]
+    model: Option<PathBuf>,
+    /// Rays aimed at vertices, middles of edges and points of faces
+    #[arg(long, value_name = "N", default_value = "1e6", value_parser = count)]
+    rays: u64,
+    /// Seed of everything
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    #[command(flatten)]
+    stats: StatsFile,
+}
+
+#[derive(clap::Args)]
+struct Mirrors {
+    /// Paths, over all boxes
+    #[arg(long, value_name = "N", default_value = "1e4", value_parser = count)]
+    paths: u64,
+    /// Bounces of each path
+    #[arg(long, value_name = "N", default_value = "1000", value_parser = count)]
+    bounces: u64,
+    /// Seed of everything
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    #[command(flatten)]
+    stats: StatsFile,
+}
+
+#[derive(clap::Args)]
+struct MeshOptions {
+    /// About so many triangles (12 n^2)
+    #[arg(short = 'n', long = "triangles", value_name = "N", default_value = "1e6", value_parser = count)]
+    triangles: u64,
+    /// Where to write it; `-` is standard output
+    #[arg(short, long, value_name = "FILE.obj")]
+    output: PathBuf,
+    /// Shuffle the faces, the worst case for locality
+    #[arg(short = 'r', long)]
+    shuffle: bool,
+    /// Seed of hills and shuffle
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+}
+
+impl Arguments for Args {
+    fn common(&self) -> &Common {
+        &self.common
+    }
+}
+
+/// A count from 1: `1000`, `1e6`, `2.5e7`.
+fn count(text: &str) -> std::result::Result<u64, String> {
+    let number: f64 = text.parse().map_err(|_| "expected a count such as 1000 or 1e6".to_owned())?;
+    let whole = (1.0..=1e15).contains(&number) && number.fract() == 0.0;
+    if whole { Ok(number as u64) } else { Err("expected a whole number from 1 to 1e15".to_owned()) }
+}
+
+fn main() -> ExitCode {
+    cli::run(work)
+}
+
+fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
+    match &args.command {
+        Command::Accuracy(options) => run_accuracy(options, session),
+        Command::Replay(options) => run_replay(options, session),
+        Command::Closed(options) => run_closed(options, session),
+        Command::Mirrors(options) => run_mirrors(options, session),
+        Command::Tradeoff(options) => tradeoff::run(options, session).map(|()| ExitCode::SUCCESS),
+        Command::Mesh(options) => write_mesh(options, session).map(|()| ExitCode::SUCCESS),
+    }
+}
+
+/// Exit code of a check that found so many errors.
+fn verdict(errors: u64) -> ExitCode {
+    if errors == 0 { ExitCode::SUCCESS } else { ExitCode::from(CHECK_FAILED) }
+}
+
+/// Prints the table unless standard output carries the statistics.
+fn table(stats: &StatsFile, text: &str) -> Result<()> {
+    match &stats.stats {
+        Some(path) if cli::args::is_stdio(path) => Ok(()),
+        _ => print(text),
+    }
+}
+
+fn run_accuracy(options: &Accuracy, session: &Session<'_>) -> Result<ExitCode> {
+    let Accuracy { rays, seed, .. } = *options;
+    let plan = Plan { rays, families: options.families.clone(), seed, keep: options.keep.clone() };
+    if let Some(folder) = &plan.keep {
+        std::fs::create_dir_all(folder).map_err(Error::io(folder, "create"))?;
+    }
+    let started = Instant::now();
+    table(&options.stats, &report::heading())?;
+    let mut shown = Ok(());
+    let tell = |family: &FamilyReport| {
+        if shown.is_ok() {
+            shown = table(&options.stats, &family.lines());
+        }
+    };
+    let monitor = session.monitor();
+    let families = match &options.model {
+        Some(path) => accuracy::run_model(&plan, &bench::load(path, monitor)?, monitor, tell),
+        None => accuracy::run(&plan, monitor, tell),
+    }?;
+    shown?;
+    finish(&families, seed, started, &options.stats, session)
+}
+
+fn run_replay(options: &Replay, session: &Session<'_>) -> Result<ExitCode> {
+    let started = Instant::now();
+    table(&options.stats, &report::heading())?;
+    let mut reports = Vec::new();
+    for path in &options.files {
+        let name = path.file_stem().unwrap_or_default().to_string_lossy();
+        let report = replay::read(path)?.run(&name)?;
+        table(&options.stats, &report.lines())?;
+        reports.push(report);
+    }
+    finish(&reports, 0, started, &options.stats, session)
+}
+
+/// The last line, the statistics, and the exit code.
+fn finish(
+    families: &[FamilyReport],
+    seed: u64,
+    started: Instant,
+    stats: &StatsFile,
+    session: &Session<'_>,
+) -> Result<ExitCode> {
+    let rays = families.iter().map(|f| f.rays).sum();
+    let disagreements = families.iter().map(FamilyReport::disagreements).sum();
+    let rays_on_large = families.iter().map(|f| f.rays_on_large).sum();
+    let seconds = started.elapsed().as_secs_f64();
+    let report = Report { schema: cli::stats::SCHEMA, rays, disagreements, rays_on_large, seconds, seed, families };
+    stats.write(&report)?;
+    session.say(format!("{rays} rays, each in every mode: {disagreements} disagreements, {seconds:.0} s"));
+    Ok(verdict(disagreements))
+}
+
+fn run_closed(options: &Closed, session: &Session<'_>) -> Result<ExitCode> {
+    let monitor = session.monitor();
+    let (mesh, name) = match &options.model {
+        Some(path) => (bench::load(path, monitor)?, path.as_path()),
+        None => (planet::mesh(100_000, options.seed), Path::new("planet")),
+    };
+    let r = closed::run(&mesh, name, options.rays, options.seed, monitor)?;
+    options.stats.write(&r)?;
+    session.say(format!(
+        "{} rays on {} triangles of {}: {} crossings, {} of wrong parity, {} escapes, {:.0} s",
+        r.rays,
+        r.triangles,
+        name.display(),
+        r.crossings,
+        r.wrong_parity,
+        r.escapes,
+        r.seconds
+    ));
+    Ok(verdict(r.wrong_parity + r.escapes))
+}
+
+fn run_mirrors(options: &Mirrors, session: &Session<'_>) -> Result<ExitCode> {
+    let r = mirror::run(options.paths, options.bounces, options.seed, session.monitor())?;
+    options.stats.write(&r)?;
+    session.say(format!(
+        "{} paths of {} bounces in {} boxes: {} escapes, {:.0} s",
+        r.paths, r.bounces, r.boxes, r.escapes, r.seconds
+    ));
+    Ok(verdict(r.escapes))
+}
+
+fn write_mesh(options: &MeshOptions, session: &Session<'_>) -> Result<()> {
+    let planet = planet::Planet::new(options.triangles, options.seed);
+    let shuffle = options.shuffle.then_some(options.seed);
+    if cli::args::is_stdio(&options.output) {
+        let mut out = std::io::BufWriter::new(std::io::stdout().lock());
+        planet.write(&mut out, shuffle, session.monitor())?;
+        return out.flush().map_err(Error::io("<stdout>", "write"));
+    }
+    let mut out = Whole::create(&options.output)?;
+    planet.write(&mut out, shuffle, session.monitor())?;
+    out.commit()?;
+    session.say(format!("{} vertices, {} triangles", planet.vertices(), planet.triangles()));
+    Ok(())
 }

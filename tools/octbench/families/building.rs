@@ -15,7 +15,7 @@ pub const FAMILIES: &[Family] = &[
     Family { number: 32, name: "coordinates NaN, infinite, huge, denormal", make: odd_coordinates },
 ];
 
-fn identical(m: &mut Maker) -> Case {
+fn identical(m: &mut Maker<'_>) -> Case {
     let one: [[f32; 3]; 3] = [0; 3].map(|_| [0; 3].map(|_| m.random.signed() as f32));
     let copies = m.random.pick(&[3, 17, 33, 129]);
     let mut mesh = Mesh::soup(vec![one; copies]);
@@ -31,9 +31,10 @@ fn identical(m: &mut Maker) -> Case {
     })
 }
 
-fn one_vertex(m: &mut Maker) -> Case {
+fn one_vertex(m: &mut Maker<'_>) -> Case {
     let hub = [0.1f32, 0.3, 0.7];
-    let mesh = Mesh::soup((0..m.size.clamp(3, 20_000)).map(|_| {
+    let n = m.hub_size(2000);
+    let mesh = Mesh::soup((0..n).map(|_| {
         let tip = |m: &mut Maker| std::array::from_fn(|i| hub[i] + m.random.direction()[i] as f32);
         [hub, tip(m), tip(m)]
     }));
@@ -44,7 +45,7 @@ fn one_vertex(m: &mut Maker) -> Case {
     })
 }
 
-fn flat(m: &mut Maker) -> Case {
+fn flat(m: &mut Maker<'_>) -> Case {
     let n = ((m.size as f64 / 2.0).sqrt().ceil() as usize).max(1);
     let z = m.random.pick(&[0.0, 0.5, 0.1, 1e6]);
     let mesh = match m.random.below(4) {
@@ -72,7 +73,7 @@ fn flat(m: &mut Maker) -> Case {
     })
 }
 
-fn teapot(m: &mut Maker) -> Case {
+fn teapot(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
     let place = [0; 3].map(|_| (5e3 * m.random.signed()) as f32);
     let mut mesh = mesh::sphere(levels, 0.1, &mut m.random).placed(1e-3, place);
@@ -87,7 +88,7 @@ fn teapot(m: &mut Maker) -> Case {
     })
 }
 
-fn giant(m: &mut Maker) -> Case {
+fn giant(m: &mut Maker<'_>) -> Case {
     let mut mesh = mesh::soup(m.size.max(16), 0.01, &mut m.random);
     let far = [0; 3].map(|_| m.random.pick(&[1.0f32, -1.0]));
     let near = far.map(|x| -x);
@@ -108,7 +109,7 @@ fn giant(m: &mut Maker) -> Case {
     })
 }
 
-fn plane_misses_cell(m: &mut Maker) -> Case {
+fn plane_misses_cell(m: &mut Maker<'_>) -> Case {
     // Triangles that cut off the corner of a dyadic cell, or miss it by an ulp.
     let mut mesh = mesh::cube().placed(0.5, [0.5; 3]);
     for _ in 0..m.size.clamp(8, 5000) {
@@ -130,7 +131,7 @@ fn plane_misses_cell(m: &mut Maker) -> Case {
     })
 }
 
-fn nearer_elsewhere(m: &mut Maker) -> Case {
+fn nearer_elsewhere(m: &mut Maker<'_>) -> Case {
     // Long parallel blades, so that a leaf met first holds triangles whose hits lie far behind.
     let mesh = Mesh::soup((0..m.size.clamp(8, 5000)).map(|_| {
         let (y, z) = (m.random.signed() as f32, m.random.signed() as f32);
@@ -144,17 +145,17 @@ fn nearer_elsewhere(m: &mut Maker) -> Case {
     })
 }
 
-fn every_layout(m: &mut Maker) -> Case {
+fn every_layout(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     let mut case = m.case(mesh, |m, mesh| {
         let o = m.origin(mesh);
         ray(o, toward(o, m.target(mesh)))
     });
-    case.layout = Layout { brick: Some(m.random.pick(&[1, 7, 64, 4096])), streaming: false };
+    case.layout = Layout { brick: Some(m.random.pick(&[1, 7, 64, 4096])) };
     case
 }
 
-fn odd_coordinates(m: &mut Maker) -> Case {
+fn odd_coordinates(m: &mut Maker<'_>) -> Case {
     let largest = m.random.pick(&[f32::MAX, 1e37, 1e-38, 1e-42, f32::from_bits(3)]);
     let mut mesh = mesh::soup(m.size.clamp(4, 2000), 0.5, &mut m.random);
     for p in &mut mesh.points {

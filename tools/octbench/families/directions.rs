@@ -10,7 +10,7 @@ pub const FAMILIES: &[Family] = &[
     Family { number: 14, name: "rays that hit nothing by definition", make: invalid },
 ];
 
-fn zeros(m: &mut Maker) -> Case {
+fn zeros(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let target = m.target(mesh);
@@ -30,7 +30,7 @@ fn zeros(m: &mut Maker) -> Case {
     })
 }
 
-fn tiny(m: &mut Maker) -> Case {
+fn tiny(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let target = m.target(mesh);
@@ -52,7 +52,7 @@ fn tiny(m: &mut Maker) -> Case {
     })
 }
 
-fn lengths(m: &mut Maker) -> Case {
+fn lengths(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let o = m.origin(mesh);
@@ -67,7 +67,7 @@ fn lengths(m: &mut Maker) -> Case {
     })
 }
 
-fn diagonals(m: &mut Maker) -> Case {
+fn diagonals(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
     let mesh = mesh::sphere(levels, 0.1, &mut m.random).placed(0.5, [0.5; 3]);
     m.case(mesh, |m, _| {
@@ -81,7 +81,7 @@ fn diagonals(m: &mut Maker) -> Case {
     })
 }
 
-fn invalid(m: &mut Maker) -> Case {
+fn invalid(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let o = m.origin(mesh);

@@ -15,7 +15,7 @@ pub const FAMILIES: &[Family] = &[
     Family { number: 9, name: "corners rotated, winding reversed", make: rotated },
 ];
 
-fn vertex(m: &mut Maker) -> Case {
+fn vertex(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let o = m.origin(mesh);
@@ -23,7 +23,7 @@ fn vertex(m: &mut Maker) -> Case {
     })
 }
 
-fn edge_middle(m: &mut Maker) -> Case {
+fn edge_middle(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let o = m.origin(mesh);
@@ -40,7 +40,7 @@ fn on_grid(mut mesh: Mesh) -> Mesh {
     mesh
 }
 
-fn exactly_vertex(m: &mut Maker) -> Case {
+fn exactly_vertex(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
     let mesh = on_grid(mesh::sphere(levels, 0.1, &mut m.random));
     m.case(mesh, |m, mesh| {
@@ -53,7 +53,7 @@ fn exactly_vertex(m: &mut Maker) -> Case {
     })
 }
 
-fn axis_vertex(m: &mut Maker) -> Case {
+fn axis_vertex(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let mut o = m.vertex(mesh);
@@ -67,20 +67,20 @@ fn axis_vertex(m: &mut Maker) -> Case {
     })
 }
 
-fn quad_diagonal(m: &mut Maker) -> Case {
+fn quad_diagonal(m: &mut Maker<'_>) -> Case {
     let points = vec![[-10.0, -10.0, 0.0], [10.0, -10.0, 0.0], [10.0, 10.0, 0.0], [-10.0, 10.0, 0.0]];
     let quad = Mesh::new(points, vec![[0, 1, 2], [0, 2, 3]]);
     m.case(quad, |m, _| {
         let d = [0.304_584_47, 0.304_584_47, -0.902_472_5];
         let nudge = m.random.below(5) as i32 - 2;
-        let x = f32::from_bits((d[0] as f32).to_bits().wrapping_add_signed(nudge));
+        let x = f32::from_bits(f32::to_bits(d[0]).wrapping_add_signed(nudge));
         let z = 1.0 + m.random.below(20) as f32;
         ray([0.0, 0.0, z], if m.random.chance(0.5) { d } else { [x, d[1], d[2]] })
     })
 }
 
-fn fan_hub(m: &mut Maker) -> Case {
-    let n = m.size.clamp(3, 10_000);
+fn fan_hub(m: &mut Maker<'_>) -> Case {
+    let n = m.hub_size(10_000);
     let hub = [0; 3].map(|_| m.random.signed() as f32);
     let made = mesh::fan(n, hub, &mut m.random);
     let fan = m.place(made);
@@ -90,7 +90,7 @@ fn fan_hub(m: &mut Maker) -> Case {
     })
 }
 
-fn silhouette(m: &mut Maker) -> Case {
+fn silhouette(m: &mut Maker<'_>) -> Case {
     let mesh = m.closed_mesh();
     let edges = silhouette_edges(m, &mesh);
     let probes = (0..m.rays)
@@ -104,7 +104,7 @@ fn silhouette(m: &mut Maker) -> Case {
 }
 
 /// Edges between a face that looks at the origin and one that looks away, from a few origins.
-fn silhouette_edges(m: &mut Maker, mesh: &Mesh) -> Vec<([f32; 3], [f32; 3], [f32; 3])> {
+fn silhouette_edges(m: &mut Maker<'_>, mesh: &Mesh) -> Vec<([f32; 3], [f32; 3], [f32; 3])> {
     let mut found = Vec::new();
     for _ in 0..4 {
         let o = m.outside(mesh);
@@ -130,7 +130,7 @@ fn silhouette_edges(m: &mut Maker, mesh: &Mesh) -> Vec<([f32; 3], [f32; 3], [f32
     found.into_iter().step_by(step).collect()
 }
 
-fn t_junction(m: &mut Maker) -> Case {
+fn t_junction(m: &mut Maker<'_>) -> Case {
     let nudge = |x: f32, by: usize| [x.next_down(), x, x.next_up()][by];
     let mut mesh = Mesh::default();
     for k in 0..(m.size / 3).clamp(1, 500) {
@@ -155,7 +155,7 @@ fn t_junction(m: &mut Maker) -> Case {
     })
 }
 
-fn rotated(m: &mut Maker) -> Case {
+fn rotated(m: &mut Maker<'_>) -> Case {
     let mut mesh = m.any_mesh();
     for f in &mut mesh.faces {
         f.rotate_left(m.random.below(3));

@@ -8,7 +8,7 @@ pub const FAMILIES: &[Family] = &[
     Family { number: 41, name: "all hits in order, each once", make: all_hits },
 ];
 
-fn borders(m: &mut Maker) -> Case {
+fn borders(m: &mut Maker<'_>) -> Case {
     // Needs the hits to aim the interval at: a few rays, each used with many intervals.
     m.size = m.size.min(2000);
     let mesh = m.any_mesh();
@@ -39,7 +39,7 @@ fn borders(m: &mut Maker) -> Case {
     Case { mesh, probes, ..Case::default() }
 }
 
-fn all_hits(m: &mut Maker) -> Case {
+fn all_hits(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     let probes = (0..m.rays)
         .map(|_| {

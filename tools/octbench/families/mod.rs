@@ -42,8 +42,6 @@ pub struct Probe {
 pub struct Layout {
     /// Most triangles a page; `None`: vary.
     pub brick: Option<u32>,
-    /// Every page order, a cache of one page and the like: see the runner.
-    pub streaming: bool,
 }
 
 /// A mesh and its rays.
@@ -60,7 +58,7 @@ pub struct Case {
 }
 
 /// What a family is given: randomness, how many rays, and how large a mesh to make.
-pub struct Maker {
+pub struct Maker<'a> {
     /// Randomness, seeded by family and round.
     pub random: Random,
     /// Rays wanted.
@@ -69,7 +67,12 @@ pub struct Maker {
     pub size: usize,
     /// Which round of this family this is.
     pub round: usize,
+    /// A mesh to aim at instead of one of the family's own.
+    pub model: Option<&'a Mesh>,
 }
+
+/// Families that only aim, at whatever mesh.
+pub const ON_ANY_MESH: [u32; 16] = [1, 2, 4, 10, 11, 12, 20, 21, 22, 31, 36, 41, 42, 44, 48, 52];
 
 /// A family.
 #[derive(Clone, Copy)]
@@ -79,7 +82,7 @@ pub struct Family {
     /// Its name in the report.
     pub name: &'static str,
     /// Makes a case.
-    pub make: fn(&mut Maker) -> Case,
+    pub make: fn(&mut Maker<'_>) -> Case,
 }
 
 /// All families, by number.
@@ -122,9 +125,12 @@ impl Probe {
 /// Scales at which a mesh is placed: from 1e-30 to 1e30, mostly ordinary.
 const SCALES: [f32; 9] = [1.0, 1.0, 1.0, 1e-3, 1e3, 1e-15, 1e15, 1e-30, 1e30];
 
-impl Maker {
+impl Maker<'_> {
     /// A closed mesh of about the wanted size, at some scale and offset.
     pub fn closed_mesh(&mut self) -> Mesh {
+        if let Some(model) = self.model {
+            return model.clone();
+        }
         let mesh = match (self.size, self.random.below(3)) {
             (0..30, 0) => mesh::cube(),
             (0..30, _) => mesh::tetrahedron(&mut self.random),
@@ -139,6 +145,9 @@ impl Maker {
 
     /// Any mesh of about the wanted size, closed or not, at some scale and offset.
     pub fn any_mesh(&mut self) -> Mesh {
+        if let Some(model) = self.model {
+            return model.clone();
+        }
         let n = ((self.size as f64 / 2.0).sqrt().ceil() as usize).max(1);
         let mesh = match self.random.below(6) {
             0 => mesh::field(n, 0.1, &mut self.random),
@@ -156,6 +165,15 @@ impl Maker {
         let far = self.random.pick(&[0.0, 0.0, 1.0, 100.0]);
         let offset = [0; 3].map(|_| scale * (far * self.random.signed()) as f32);
         mesh.placed(scale, offset)
+    }
+
+    /// How many triangles meet at a hub: up to 300; seldom `most`, with few rays, since each ray needs exact tests of them all.
+    pub fn hub_size(&mut self, most: usize) -> usize {
+        if self.size >= 10_000 && self.round % 20 == 1 {
+            self.rays = self.rays.min(10);
+            return most;
+        }
+        self.size.clamp(3, 300)
     }
 
     /// An origin about a mesh: inside its ball, around it, or far away.
@@ -214,7 +232,7 @@ impl Maker {
     }
 
     /// A case of closest-hit rays, each made from the mesh.
-    pub fn case(&mut self, mesh: Mesh, mut make: impl FnMut(&mut Maker, &Mesh) -> OracleRay) -> Case {
+    pub fn case(&mut self, mesh: Mesh, mut make: impl FnMut(&mut Maker<'_>, &Mesh) -> OracleRay) -> Case {
         let probes = (0..self.rays).map(|_| Probe::closest(make(self, &mesh))).collect();
         Case { mesh, probes, ..Case::default() }
     }

@@ -17,7 +17,7 @@ pub const FAMILIES: &[Family] = &[
 ];
 
 /// A mesh over exactly 0..1 on each axis whose vertices are dyadic, with many triangles in the planes x, y, z = k/8.
-fn dyadic(m: &mut Maker) -> Mesh {
+fn dyadic(m: &mut Maker<'_>) -> Mesh {
     let mut mesh = mesh::cube().placed(0.5, [0.5; 3]);
     for _ in 0..m.size.clamp(8, 4000) {
         let axis = m.random.below(3);
@@ -32,11 +32,11 @@ fn dyadic(m: &mut Maker) -> Mesh {
     mesh
 }
 
-fn dyadic_point(m: &mut Maker, steps: usize) -> [f32; 3] {
+fn dyadic_point(m: &mut Maker<'_>, steps: usize) -> [f32; 3] {
     [0; 3].map(|_| m.random.below(steps + 1) as f32 / steps as f32)
 }
 
-fn in_split_plane(m: &mut Maker) -> Case {
+fn in_split_plane(m: &mut Maker<'_>) -> Case {
     let mesh = dyadic(m);
     m.case(mesh, |m, _| {
         let axis = m.random.below(3);
@@ -48,7 +48,7 @@ fn in_split_plane(m: &mut Maker) -> Case {
     })
 }
 
-fn special_origins(m: &mut Maker) -> Case {
+fn special_origins(m: &mut Maker<'_>) -> Case {
     let mesh = dyadic(m);
     m.case(mesh, |m, _| {
         let o = match m.random.below(4) {
@@ -70,21 +70,21 @@ fn special_origins(m: &mut Maker) -> Case {
     })
 }
 
-fn grazing(m: &mut Maker) -> Case {
+fn grazing(m: &mut Maker<'_>) -> Case {
     let mesh = dyadic(m);
     m.case(mesh, |m, _| {
         let mut corner = dyadic_point(m, 1);
         if m.random.chance(0.5) {
             corner[m.random.below(3)] = m.random.unit() as f32;
         }
-        let nudge = |m: &mut Maker, x: f32| m.random.pick(&[x.next_down(), x, x.next_up()]);
+        let nudge = |m: &mut Maker<'_>, x: f32| m.random.pick(&[x.next_down(), x, x.next_up()]);
         let target = corner.map(|x| nudge(m, x));
         let o = std::array::from_fn(|i| (f64::from(corner[i]) + 2.0 * m.random.signed()) as f32 + 0.0 * i as f32);
         ray(o, toward(o, target))
     })
 }
 
-fn on_cell_border(m: &mut Maker) -> Case {
+fn on_cell_border(m: &mut Maker<'_>) -> Case {
     let mesh = dyadic(m);
     m.case(mesh, |m, _| {
         let target = dyadic_point(m, 16).map(|x| m.random.pick(&[x.next_down(), x, x, x.next_up()]));
@@ -97,7 +97,7 @@ fn on_cell_border(m: &mut Maker) -> Case {
     })
 }
 
-fn upper_face(m: &mut Maker) -> Case {
+fn upper_face(m: &mut Maker<'_>) -> Case {
     let mut mesh = m.any_mesh();
     let (_, high) = mesh.bounds();
     let top = high.map(|x| x as f32);
@@ -113,7 +113,7 @@ fn upper_face(m: &mut Maker) -> Case {
     })
 }
 
-fn far_origin(m: &mut Maker) -> Case {
+fn far_origin(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let (center, radius) = mesh.ball();
@@ -124,7 +124,7 @@ fn far_origin(m: &mut Maker) -> Case {
     })
 }
 
-fn backwards(m: &mut Maker) -> Case {
+fn backwards(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let (a, b) = (m.origin(mesh), m.target(mesh));
@@ -135,7 +135,7 @@ fn backwards(m: &mut Maker) -> Case {
     })
 }
 
-fn behind(m: &mut Maker) -> Case {
+fn behind(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let o = m.outside(mesh);
@@ -148,7 +148,7 @@ fn behind(m: &mut Maker) -> Case {
     })
 }
 
-fn root_far(m: &mut Maker) -> Case {
+fn root_far(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
     let offset = [0; 3].map(|_| m.random.pick(&[1e6, -1e6, 0.0]) as f32);
     let mesh = mesh::sphere(levels, 0.2, &mut m.random).placed(10.0, offset);

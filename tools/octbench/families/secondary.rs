@@ -18,7 +18,7 @@ pub const FAMILIES: &[Family] = &[
 ];
 
 /// A ray from a rounded point of a face, leaving that face out.
-fn leaving(m: &mut Maker, mesh: &Mesh, direction: impl Fn(&mut Maker, [f64; 3]) -> [f64; 3]) -> Probe {
+fn leaving(m: &mut Maker<'_>, mesh: &Mesh, direction: impl Fn(&mut Maker<'_>, [f64; 3]) -> [f64; 3]) -> Probe {
     let face = m.random.below(mesh.faces.len());
     let [a, b, c] = mesh.corners(face).map(|p| p.map(f64::from));
     let (e, f) = ([0, 1, 2].map(|i| b[i] - a[i]), [0, 1, 2].map(|i| c[i] - a[i]));
@@ -34,12 +34,12 @@ fn leaving(m: &mut Maker, mesh: &Mesh, direction: impl Fn(&mut Maker, [f64; 3]) 
     Probe { skip, ..Probe::closest(ray(o, d)) }
 }
 
-fn leaving_case(m: &mut Maker, mesh: Mesh, direction: impl Fn(&mut Maker, [f64; 3]) -> [f64; 3]) -> Case {
+fn leaving_case(m: &mut Maker<'_>, mesh: Mesh, direction: impl Fn(&mut Maker<'_>, [f64; 3]) -> [f64; 3]) -> Case {
     let probes = (0..m.rays).map(|_| leaving(m, &mesh, &direction)).collect();
     Case { mesh, probes, ..Case::default() }
 }
 
-fn grazing_mirror(m: &mut Maker) -> Case {
+fn grazing_mirror(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     leaving_case(m, mesh, |m, n| {
         let w = m.random.direction();
@@ -49,7 +49,7 @@ fn grazing_mirror(m: &mut Maker) -> Case {
     })
 }
 
-fn ends_on_light(m: &mut Maker) -> Case {
+fn ends_on_light(m: &mut Maker<'_>) -> Case {
     let mut mesh = m.any_mesh();
     // A light of one triangle, and blockers just before it and at 0.99995 of the way.
     let (center, radius) = mesh.ball();
@@ -78,7 +78,7 @@ fn ends_on_light(m: &mut Maker) -> Case {
     Case { mesh, probes, ..Case::default() }
 }
 
-fn on_light(m: &mut Maker) -> Case {
+fn on_light(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let corners = mesh.corners(m.random.below(mesh.faces.len()));
@@ -89,7 +89,7 @@ fn on_light(m: &mut Maker) -> Case {
     })
 }
 
-fn shells(m: &mut Maker) -> Case {
+fn shells(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 16.0).max(1.0).log2() / 2.0).ceil() as u32;
     let outer = mesh::sphere(levels, 0.0, &mut m.random);
     let mut mesh = outer.clone();
@@ -101,7 +101,7 @@ fn shells(m: &mut Maker) -> Case {
     })
 }
 
-fn mirror_box(m: &mut Maker) -> Case {
+fn mirror_box(m: &mut Maker<'_>) -> Case {
     let (s, c) = (0.6f32, 0.8f32);
     let mut mesh = mesh::cube();
     if m.random.chance(0.5) {
@@ -113,7 +113,7 @@ fn mirror_box(m: &mut Maker) -> Case {
     leaving_case(m, mesh, |m, _| m.random.direction())
 }
 
-fn mirror_room(m: &mut Maker) -> Case {
+fn mirror_room(m: &mut Maker<'_>) -> Case {
     let inner = m.closed_mesh();
     let (center, radius) = inner.ball();
     let mut mesh = mesh::cube();
@@ -124,7 +124,7 @@ fn mirror_room(m: &mut Maker) -> Case {
     leaving_case(m, mesh, |m, _| m.random.direction())
 }
 
-fn either_side(m: &mut Maker) -> Case {
+fn either_side(m: &mut Maker<'_>) -> Case {
     let mesh = m.closed_mesh();
     leaving_case(m, mesh, |m, n| {
         let side = m.random.pick(&[1.0, -1.0]);

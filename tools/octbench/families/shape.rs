@@ -13,7 +13,7 @@ pub const FAMILIES: &[Family] = &[
     Family { number: 39, name: "coincident triangles, opposite winding", make: coincident },
 ];
 
-fn zero_area(m: &mut Maker) -> Case {
+fn zero_area(m: &mut Maker<'_>) -> Case {
     let mut mesh = m.closed_mesh();
     for _ in 0..mesh.faces.len().min(200) {
         let f = mesh.faces[m.random.below(mesh.faces.len())];
@@ -34,7 +34,7 @@ fn zero_area(m: &mut Maker) -> Case {
     case
 }
 
-fn needles(m: &mut Maker) -> Case {
+fn needles(m: &mut Maker<'_>) -> Case {
     let made = mesh::slivers(m.size.clamp(3, 3000), &mut m.random);
     let mesh = m.place(made);
     m.case(mesh, |m, mesh| {
@@ -54,7 +54,7 @@ fn needles(m: &mut Maker) -> Case {
     })
 }
 
-fn coplanar(m: &mut Maker) -> Case {
+fn coplanar(m: &mut Maker<'_>) -> Case {
     let n = ((m.size as f64 / 2.0).sqrt().ceil() as usize).clamp(1, 100);
     let mesh = mesh::field(n, 0.0, &mut m.random);
     m.case(mesh, |m, mesh| {
@@ -71,7 +71,7 @@ fn coplanar(m: &mut Maker) -> Case {
     })
 }
 
-fn nearly_coplanar(m: &mut Maker) -> Case {
+fn nearly_coplanar(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let [a, b, c] = mesh.corners(m.random.below(mesh.faces.len())).map(|p| p.map(f64::from));
@@ -85,7 +85,7 @@ fn nearly_coplanar(m: &mut Maker) -> Case {
     })
 }
 
-fn extreme(m: &mut Maker) -> Case {
+fn extreme(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil().min(5.0) as u32;
     let scale = m.random.pick(&[1e-38f32, 1e-35, 1e-25, 1e-18, 1e12, 1e18, 1e25, 1e37]);
     let offset = m.random.pick(&[0.0f32, 1e3, 1e6]);
@@ -101,7 +101,7 @@ fn extreme(m: &mut Maker) -> Case {
     })
 }
 
-fn sheets(m: &mut Maker) -> Case {
+fn sheets(m: &mut Maker<'_>) -> Case {
     let n = ((m.size as f64 / 8.0).sqrt().ceil() as usize).max(1);
     let base = m.random.pick(&[0.5f32, 1.0, 0.3, 1e5]);
     let up = |x: f32, by: u32| f32::from_bits(x.to_bits() + by);
@@ -124,7 +124,7 @@ fn sheets(m: &mut Maker) -> Case {
     })
 }
 
-fn coincident(m: &mut Maker) -> Case {
+fn coincident(m: &mut Maker<'_>) -> Case {
     let mut mesh = m.any_mesh();
     let n = mesh.faces.len();
     for i in 0..n.min(2000) {

@@ -11,7 +11,7 @@ pub const FAMILIES: &[Family] = &[
     Family { number: 53, name: "a triangle stored in several places", make: stored_twice },
 ];
 
-fn eight_bits(m: &mut Maker) -> Case {
+fn eight_bits(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
     let mut mesh = mesh::sphere(levels, 0.05, &mut m.random);
     mesh.points.iter_mut().for_each(|p| *p = p.map(|x| (x * 100.0 + 128.0).round()));
@@ -27,10 +27,10 @@ fn eight_bits(m: &mut Maker) -> Case {
     })
 }
 
-fn flat_box(m: &mut Maker) -> Case {
+fn flat_box(m: &mut Maker<'_>) -> Case {
     let mut mesh = mesh::cube();
     mesh.points.iter_mut().for_each(|p| *p = [p[0], p[1], p[2] * 5.7e-39]);
-    let case = |m: &mut Maker, mesh: &Mesh| {
+    let case = |m: &mut Maker<'_>, mesh: &Mesh| {
         let o = if m.random.chance(0.5) {
             m.outside(mesh)
         } else {
@@ -41,7 +41,7 @@ fn flat_box(m: &mut Maker) -> Case {
     m.case(mesh, case)
 }
 
-fn cylinders(m: &mut Maker) -> Case {
+fn cylinders(m: &mut Maker<'_>) -> Case {
     let n = (m.size / 6).clamp(3, 2000);
     let mut mesh = Mesh::default();
     for radius in [1.0, 0.999, 0.5] {
@@ -65,17 +65,17 @@ fn cylinders(m: &mut Maker) -> Case {
     })
 }
 
-fn pages(m: &mut Maker) -> Case {
+fn pages(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     let mut case = m.case(mesh, |m, mesh| {
         let o = m.origin(mesh);
         ray(o, toward(o, m.target(mesh)))
     });
-    case.layout = Layout { brick: Some(m.random.pick(&[16, 100])), streaming: true };
+    case.layout = Layout { brick: Some(m.random.pick(&[16, 100])) };
     case
 }
 
-fn stored_twice(m: &mut Maker) -> Case {
+fn stored_twice(m: &mut Maker<'_>) -> Case {
     let n = ((m.size as f64 / 2.0).sqrt().ceil() as usize).max(1);
     let mut mesh = mesh::field(n, 0.3, &mut m.random);
     mesh.append(&mesh::soup(20, 1.0, &mut m.random));
@@ -85,6 +85,6 @@ fn stored_twice(m: &mut Maker) -> Case {
         ray(o, toward(o, m.target(mesh)))
     });
     case.probes.iter_mut().for_each(|p| p.ask = super::Ask::All);
-    case.layout = Layout { brick: Some(32), streaming: false };
+    case.layout = Layout { brick: Some(32) };
     case
 }

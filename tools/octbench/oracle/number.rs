@@ -46,32 +46,60 @@ pub struct Crossing<N> {
     weights: Vector<N>,
 }
 
-/// Whether the line crosses: `None` = cannot tell, `Some(None)` = no.
-pub fn crossing<N: Number>(ray: &OracleRay, corners: &Corners) -> Option<Option<Crossing<N>>> {
-    let (o, d) = (exactly::<N>(&ray.o), exactly(&ray.d));
-    let p = corners.map(|c| minus(&exactly(&c), &o));
-    let normal = cross(&minus(&p[1], &p[0]), &minus(&p[2], &p[0]));
-    let den = dot(&normal, &d);
-    if den.sign()? == Ordering::Equal {
-        return Some(None);
+/// Ray and triangle in numbers of one tier, seen from the ray's origin. Each question is answered by itself, so that a
+/// costly tier is asked only what a cheap one could not tell.
+pub struct Figure<N> {
+    d: Vector<N>,
+    p: [Vector<N>; 3],
+}
+
+impl<N: Number> Figure<N> {
+    /// The figure of a ray and a triangle.
+    pub fn new(ray: &OracleRay, corners: &Corners) -> Figure<N> {
+        let o = exactly(&ray.o);
+        Figure { d: exactly(&ray.d), p: corners.map(|c| minus(&exactly(&c), &o)) }
     }
-    let faces = [cross(&p[1], &p[2]), cross(&p[2], &p[0]), cross(&p[0], &p[1])];
-    let weights = [dot(&d, &faces[0]), dot(&d, &faces[1]), dot(&d, &faces[2])];
-    let mut signs = [Ordering::Equal; 3];
-    for i in 0..3 {
-        signs[i] = perturbed_sign(&weights[i], &faces[i])?;
+
+    fn normal(&self) -> Vector<N> {
+        cross(&minus(&self.p[1], &self.p[0]), &minus(&self.p[2], &self.p[0]))
     }
-    let num = dot(&normal, &p[0]);
-    let inside = if signs.contains(&Ordering::Equal) {
-        in_closed_triangle(&normal, &faces)?
-    } else {
-        signs[0] == signs[1] && signs[1] == signs[2]
-    };
-    Some(inside.then_some(Crossing {
-        num,
-        den,
-        weights: if signs.contains(&Ordering::Equal) { along(&normal, &faces)? } else { weights },
-    }))
+
+    /// Normal of the plane through the origin and the edge opposite to corner i.
+    fn face(&self, i: usize) -> Vector<N> {
+        cross(&self.p[(i + 1) % 3], &self.p[(i + 2) % 3])
+    }
+
+    fn faces(&self) -> [Vector<N>; 3] {
+        [self.face(0), self.face(1), self.face(2)]
+    }
+
+    /// Sign of n . d; zero for a ray along the plane. `None` = cannot tell, here and below.
+    pub fn den_sign(&self) -> Option<Ordering> {
+        dot(&self.normal(), &self.d).sign()
+    }
+
+    /// Perturbed sign of the determinant of the edge opposite to corner i; `Equal` if the origin is on the edge's line.
+    pub fn edge_sign(&self, i: usize) -> Option<Ordering> {
+        let face = self.face(i);
+        perturbed_sign(&dot(&self.d, &face), &face)
+    }
+
+    /// For an origin in the plane: whether it lies in the closed triangle. All faces are multiples of the normal then.
+    pub fn origin_inside(&self) -> Option<bool> {
+        for weight in along(&self.normal(), &self.faces()) {
+            if weight.sign()? == Ordering::Less {
+                return Some(false);
+            }
+        }
+        Some(true)
+    }
+
+    /// The crossing as numbers; `on_edge` where the origin lies on the line of an edge, so that no direction weighs corners.
+    pub fn crossing(&self, on_edge: bool) -> Crossing<N> {
+        let (normal, faces) = (self.normal(), self.faces());
+        let weights = if on_edge { along(&normal, &faces) } else { [0, 1, 2].map(|i: usize| dot(&self.d, &faces[i])) };
+        Crossing { num: dot(&normal, &self.p[0]), den: dot(&normal, &self.d), weights }
+    }
 }
 
 /// The sign of `weight = d . face` for the direction d + (e, e^2, e^3); `Equal` only if `face` is zero altogether.
@@ -85,19 +113,9 @@ fn perturbed_sign<N: Number>(weight: &N, face: &Vector<N>) -> Option<Ordering> {
     Some(Ordering::Equal)
 }
 
-/// For an origin in the plane: whether it lies in the closed triangle. All `faces` are multiples of the normal then.
-fn in_closed_triangle<N: Number>(normal: &Vector<N>, faces: &[Vector<N>; 3]) -> Option<bool> {
-    for weight in along(normal, faces)? {
-        if weight.sign()? == Ordering::Less {
-            return Some(false);
-        }
-    }
-    Some(true)
-}
-
 /// The three faces measured along the normal: proportional to the barycentric weights of an origin in the plane.
-fn along<N: Number>(normal: &Vector<N>, faces: &[Vector<N>; 3]) -> Option<Vector<N>> {
-    Some([dot(normal, &faces[0]), dot(normal, &faces[1]), dot(normal, &faces[2])])
+fn along<N: Number>(normal: &Vector<N>, faces: &[Vector<N>; 3]) -> Vector<N> {
+    [dot(normal, &faces[0]), dot(normal, &faces[1]), dot(normal, &faces[2])]
 }
 
 impl<N: Number> Crossing<N> {
@@ -165,9 +183,9 @@ impl<N: Number> Crossing<N> {
         if self.den.sign() == Some(Ordering::Less) { sign.reverse() } else { sign }
     }
 
-    /// Whether t is exactly `x`, for tiers that always tell.
-    pub fn is_exactly(&self, x: f32) -> bool {
-        self.against(x.into()) == Ordering::Equal
+    /// Whether t is exactly `x`; `None` = cannot tell.
+    pub fn is_exactly(&self, x: f32) -> Option<bool> {
+        Some(self.num.sub(&self.den.mul(&N::of(x.into()))).sign()? == Ordering::Equal)
     }
 
     /// The order of two exact t, for tiers that always tell.
@@ -176,13 +194,15 @@ impl<N: Number> Crossing<N> {
         if self.den.sign() == other.den.sign() { sign } else { sign.reverse() }
     }
 
-    /// Weights of the second and third corner.
-    pub fn barycentric(&self) -> (f64, f64) {
+    /// Weights of the second and third corner to well below an ulp of f32; `None` = cannot tell.
+    pub fn barycentric(&self) -> Option<(f64, f64)> {
+        let sum = self.weights[0].add(&self.weights[1]).add(&self.weights[2]);
         let middle = |n: &N| {
             let (low, high) = n.bounds();
-            0.5 * (low + high)
+            let narrow = high - low <= 1e-10 * (low.abs() + high.abs()) || low == high;
+            narrow.then_some(0.5 * (low + high))
         };
-        let sum = middle(&self.weights[0].add(&self.weights[1]).add(&self.weights[2]));
-        (middle(&self.weights[1]) / sum, middle(&self.weights[2]) / sum)
+        let sum = middle(&sum)?;
+        Some((middle(&self.weights[1])? / sum, middle(&self.weights[2])? / sum))
     }
 }

@@ -24,3 +24,17 @@ pub struct PlainHit {
     /// Weight of the third corner.
     pub v: f32,
 }
+
+/// The closest hit by the test of every triangle.
+pub fn closest_of_all(triangles: &[Corners], o: [f32; 3], d: [f32; 3], tmin: f32, tmax: f32) -> Option<PlainHit> {
+    let mut best: Option<PlainHit> = None;
+    for (face, corners) in (0..).zip(triangles) {
+        if let Some((t, u, v)) = moller_trumbore::intersect(o, d, corners)
+            && (tmin..=tmax).contains(&t)
+            && best.is_none_or(|b| t < b.t)
+        {
+            best = Some(PlainHit { t, face, u, v });
+        }
+    }
+    best
+}

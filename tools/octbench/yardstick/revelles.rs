@@ -175,7 +175,10 @@ mod tests {
 
     #[test]
     fn hits_what_is_plainly_there() {
-        let square = vec![[[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.5]], [[-1.0, -1.0, 3.0], [1.0, -1.0, 3.0], [1.0, 1.0, 3.0]]];
+        let square = vec![
+            [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.5]],
+            [[-1.0, -1.0, 3.0], [1.0, -1.0, 3.0], [1.0, 1.0, 3.0]],
+        ];
         let tree = PlainOctree::new(square);
         let hit = tree.closest([0.5, -0.25, 10.0], [0.0, 0.0, -1.0], 0.0, f32::INFINITY).unwrap();
         assert_eq!((hit.face, hit.t), (1, 7.0));

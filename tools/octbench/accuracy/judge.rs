@@ -1,0 +1,200 @@
+//! One case: the octree file of its mesh, the oracle's word on each ray, and the tracer's in every mode.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use octrace::Result;
+use octrace::build::BuildOptions;
+use octrace::geometry::Hit;
+use octrace::map::Octree;
+use octrace::trace::{Counters, Found, Isa, LinearTracer, OctreeTracer, Tracer, all_hits};
+
+use super::report::{FamilyReport, ModeReport};
+use crate::bench::{library_ray, octree, skip};
+use crate::families::mesh::Mesh;
+use crate::families::{Ask, Case, Probe};
+use crate::oracle::{Answer, Oracle, TierCounts};
+
+/// Meshes up to this size are traced by the linear tracer too.
+const LINEAR: usize = 100;
+
+/// Meshes from this size on count as large.
+const LARGE: usize = 10_000;
+
+/// Disagreements described, at most.
+const EXAMPLES: usize = 8;
+
+/// A mesh with everything that answers rays on it.
+pub struct Bench {
+    oracle: Oracle,
+    modes: Vec<(&'static str, Box<dyn Tracer>)>,
+    triangles: usize,
+    options: BuildOptions,
+}
+
+/// What the oracle says of a probe.
+struct Truth {
+    closest: Option<Answer>,
+    all: Option<Vec<Answer>>,
+}
+
+impl Bench {
+    /// Builds the file and all tracers over it.
+    pub fn new(mesh: &Mesh, options: &BuildOptions) -> Result<Bench> {
+        let file = octree(mesh, options)?;
+        let oracle = Oracle::new(mesh.triangles().enumerate().map(|(i, c)| (i as u32, c)));
+        let mut modes = octree_modes(&file);
+        if mesh.faces.len() <= LINEAR {
+            modes.push(("linear", Box::new(LinearTracer::new(&file)?)));
+        }
+        Ok(Bench { oracle, modes, triangles: mesh.faces.len(), options: options.clone() })
+    }
+
+    /// Traces the probes in every mode and compares. `closed`: all crossings of rays from outside must be even in number.
+    pub fn judge(&self, probes: &[Probe], closed: bool) -> Result<FamilyReport> {
+        let mut report = FamilyReport { rays: probes.len() as u64, ..FamilyReport::default() };
+        report.rays_on_large = if self.triangles >= LARGE { report.rays } else { 0 };
+        let mut counts = TierCounts::default();
+        let truths: Vec<Truth> = probes.iter().map(|p| self.truth(p, &mut counts)).collect();
+        report.hits = truths.iter().filter(|t| t.closest.is_some()).count() as u64;
+        report.oracle_exact = counts.expansion;
+        let mut first: Option<Vec<Option<Found>>> = None;
+        for (name, tracer) in &self.modes {
+            let mut mode = ModeReport { mode: name, ..ModeReport::default() };
+            let found = closest(tracer.as_ref(), probes, &mut mode)?;
+            for (k, (probe, truth)) in probes.iter().zip(&truths).enumerate() {
+                let before = mode.disagreements();
+                compare_closest(&mut mode, truth.closest.as_ref(), found[k].map(|f| f.hit));
+                let same = |f: &Vec<Option<Found>>| bits(f[k]) == bits(found[k]);
+                mode.differs += u64::from(!first.as_ref().is_none_or(same));
+                let any = tracer.any(&library_ray(&probe.ray), skip(probe.skip))?;
+                mode.wrong_any += u64::from(any != truth.closest.is_some());
+                if let Some(all) = &truth.all {
+                    compare_all(&mut mode, probe, closed, all, tracer.as_ref())?;
+                }
+                if mode.disagreements() > before && report.examples.len() < EXAMPLES {
+                    report.examples.push(self.example(name, probe));
+                }
+            }
+            first.get_or_insert(found);
+            report.modes.push(mode);
+        }
+        Ok(report)
+    }
+
+    fn truth(&self, probe: &Probe, counts: &mut TierCounts) -> Truth {
+        match probe.ask {
+            Ask::Closest => Truth { closest: self.oracle.closest(&probe.ray, &probe.skip, counts), all: None },
+            Ask::All => {
+                let all = self.oracle.all(&probe.ray, &probe.skip, counts);
+                Truth { closest: all.first().copied(), all: Some(all) }
+            }
+        }
+    }
+
+    /// A disagreement in words: the ray's bits, and how the file was built.
+    fn example(&self, mode: &str, probe: &Probe) -> String {
+        let o = &self.options;
+        format!(
+            "{mode}: ray {} on {} triangles, {:?} leaf {} cell {} depth {} brick {:?}",
+            super::replay::probe_line(probe),
+            self.triangles,
+            o.split,
+            o.leaf,
+            o.cell,
+            o.depth,
+            o.brick
+        )
+    }
+}
+
+/// Builds a case's file, traces its rays, and compares.
+pub fn run_case(case: &Case, options: &BuildOptions) -> Result<FamilyReport> {
+    Bench::new(&case.mesh, options)?.judge(&case.probes, case.closed)
+}
+
+/// A tracer for each instruction set of this processor.
+fn octree_modes(file: &Arc<Octree>) -> Vec<(&'static str, Box<dyn Tracer>)> {
+    let tracer = |isa: Isa| OctreeTracer::new(Arc::clone(file)).with_isa(isa);
+    Isa::available().into_iter().map(|isa| (isa.name(), Box::new(tracer(isa)) as Box<dyn Tracer>)).collect()
+}
+
+/// The closest hits, timed, with the tiers that each ray needed.
+fn closest(tracer: &dyn Tracer, probes: &[Probe], mode: &mut ModeReport) -> Result<Vec<Option<Found>>> {
+    let mut found = Vec::with_capacity(probes.len());
+    let started = Instant::now();
+    for probe in probes {
+        let mut counters = Counters::default();
+        found.push(tracer.closest_counted(&library_ray(&probe.ray), skip(probe.skip), &mut counters)?);
+        mode.tiers[0] += u64::from(counters.doubts > 0);
+        mode.tiers[1] += u64::from(counters.exact > 0);
+    }
+    mode.seconds = started.elapsed().as_secs_f64();
+    mode.rays = probes.len() as u64;
+    Ok(found)
+}
+
+fn bits(found: Option<Found>) -> [u32; 4] {
+    let hit = found.map_or(Hit::MISS, |f| f.hit);
+    [hit.t.to_bits(), hit.face.0, hit.u.to_bits(), hit.v.to_bits()]
+}
+
+fn compare_closest(mode: &mut ModeReport, truth: Option<&Answer>, found: Option<Hit>) {
+    match (truth, found) {
+        (None, None) => {}
+        (Some(_), None) => mode.missed += 1,
+        (None, Some(_)) => mode.false_hits += 1,
+        (Some(truth), Some(found)) if truth.face != found.face.0 => mode.wrong_triangle += 1,
+        (Some(truth), Some(found)) => {
+            let ulps = ulps(truth.t, found.t);
+            let bin = match ulps {
+                0 if truth.t_exact => 0,
+                0 => 1,
+                1 => 2,
+                2..=3 => 3,
+                4..=15 => 4,
+                _ => 5,
+            };
+            mode.ulp_histogram[bin] += 1;
+            mode.largest_ulp = mode.largest_ulp.max(ulps);
+            let off = |exact: f64, got: f32| ulps_f64(exact, got) > 1.0;
+            mode.wrong_uv += u64::from(off(truth.u, found.u) || off(truth.v, found.v));
+        }
+    }
+}
+
+/// Distance of two f32 in steps.
+pub fn ulps(a: f32, b: f32) -> u64 {
+    let ordered = |x: f32| {
+        let bits = i64::from(x.to_bits() as i32);
+        if bits < 0 { i64::from(i32::MIN) - bits } else { bits }
+    };
+    ordered(a).abs_diff(ordered(b))
+}
+
+/// Distance of an f32 from an exact value in units in the last place of the f32.
+fn ulps_f64(exact: f64, got: f32) -> f64 {
+    let step = f64::from(got.abs().next_up()) - f64::from(got.abs());
+    (exact - f64::from(got)).abs() / step
+}
+
+/// The iterator over all hits: the oracle's list, in its order, each once; even in number from outside a closed mesh.
+fn compare_all(
+    mode: &mut ModeReport,
+    probe: &Probe,
+    closed: bool,
+    truth: &[Answer],
+    tracer: &dyn Tracer,
+) -> Result<()> {
+    let mut found = Vec::new();
+    for hit in all_hits(tracer, &library_ray(&probe.ray), skip(probe.skip)) {
+        found.push(hit?.hit.face.0);
+        if found.len() > truth.len() {
+            break;
+        }
+    }
+    mode.doubled += u64::from(!found.iter().eq(truth.iter().map(|a| &a.face)));
+    let unbounded = probe.ray.tmin <= 0.0 && probe.ray.tmax == f32::INFINITY && probe.skip == [u32::MAX; 2];
+    mode.odd_crossings += u64::from(closed && unbounded && found.len() % 2 == 1);
+    Ok(())
+}
