@@ -252,13 +252,53 @@ fn meshes_render_the_same_by_octree_and_by_every_triangle() {
 
 /// Builds `source` into `target`, textures found beside the source.
 fn build(source: &Path, target: &Path) -> PathBuf {
-    for extra in ["spot_texture.png"] {
-        let from = source.with_file_name(extra);
-        if from.exists() {
-            std::fs::copy(from, target.with_file_name(extra)).unwrap();
-        }
+    let texture = source.with_file_name("spot_texture.png");
+    if texture.exists() {
+        std::fs::copy(texture, target.with_file_name("spot_texture.png")).unwrap();
     }
     let mut mesh = octrace::mesh::open(source, &octrace::mesh::ReadOptions::default()).unwrap();
     octrace::build::build(&mut *mesh, target, &octrace::build::BuildOptions::default(), Monitor::silent()).unwrap();
     target.to_owned()
+}
+
+/// The six walls of a box, with shared corners.
+fn walls(lo: Vec3, hi: Vec3) -> Vec<Geometry> {
+    let corner = |i: usize| {
+        let pick = |bit: usize, a: f32, b: f32| if i & bit > 0 { b } else { a };
+        Vec3::new(pick(4, lo.x, hi.x), pick(2, lo.y, hi.y), pick(1, lo.z, hi.z))
+    };
+    let quads = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]];
+    quads.map(|quad| Geometry::Rectangle(quad.map(corner))).to_vec()
+}
+
+#[test]
+fn no_light_gets_into_a_room_of_mirrors() {
+    let Some(folder) = data() else { return };
+    let temp = tempfile::tempdir().unwrap();
+    let file = build(&folder.join("bunny.obj"), &temp.path().join("bunny.oct"));
+    let mut scene = Scene::for_mesh(&file, true);
+    scene.materials.push(Material {
+        ambient: Color::ZERO,
+        diffuse: Color::splat(0.03),
+        specular: Color::ZERO,
+        reflect: 0.9,
+        ..Material::default()
+    });
+    let (lo, hi) = (Vec3::new(-0.21, 0.0329, -0.17), Vec3::new(0.19, 0.31, 0.23));
+    scene.shapes = walls(lo, hi).into_iter().map(|geometry| Shape { geometry, material: 2 }).collect();
+    scene.floor = None;
+    scene.lights = vec![Light::Point { position: DVec3::new(0.07, 0.29, 0.17), color: Color::splat(0.8) }];
+    let at = DVec3::new(-0.02, 0.1, 0.0);
+    scene.camera = Camera::LookAt { eye: DVec3::new(0.06, 0.19, 0.2), at, up: DVec3::Y, fov: 55.0 };
+    // A ray that escapes brings a thousandfold light; one that is given up after 130 bounces, a thousandth.
+    scene.background = Color::splat(1000.0);
+    let mesh = Arc::new(Octree::open(&file).unwrap());
+    let world = World::new(scene, vec![mesh], Monitor::silent()).unwrap();
+    let side = if std::env::var_os("OCTRACE_PICTURES").is_some() { 512 } else { 64 };
+    let settings = Settings { size: Some([side; 2]), samples: Some(1), depth: Some(1000), ..Settings::default() };
+    let picture = render(&world, &settings, Monitor::silent()).unwrap();
+    keep(&picture, "room.png", ToneMap::Srgb);
+    let film = &picture.film;
+    assert!(film.pixels().iter().flatten().all(|&x| x < 3.0 && x > 0.0), "a pixel is too bright, or black");
+    assert!(picture.statistics.rays.mirror > 2 * picture.statistics.rays.primary);
 }

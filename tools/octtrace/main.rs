@@ -118,7 +118,7 @@ impl<'a> Run<'a> {
         let mut seconds = vec![0.0; repeat as usize];
         if repeat == 1 {
             let mut rays = vec![stream::NO_RAY; BATCH];
-            let mut answers = vec![blank; BATCH];
+            let mut answers = vec![blank; rays.len()];
             loop {
                 let n = reader.fill(&mut rays)?;
                 if n == 0 {
