@@ -73,6 +73,24 @@ impl Shear {
         Shear { axes, origin, sx: d[axes[0]] / d[z], sy: d[axes[1]] / d[z], linear: 5.4 * e, constant }
     }
 
+    /// The origin on `axes`.
+    #[inline]
+    pub fn origin(&self) -> [f32; 3] {
+        self.origin
+    }
+
+    /// How far x and y move with z: sx, sy.
+    #[inline]
+    pub fn slopes(&self) -> [f32; 2] {
+        [self.sx, self.sy]
+    }
+
+    /// The bound of an edge function: this times m, plus this.
+    #[inline]
+    pub fn bound(&self) -> [f32; 2] {
+        [self.linear, self.constant]
+    }
+
     /// Classifies the first `count` triangles (at most 16) over a table of N vertices (16 or 32).
     ///
     /// `x`, `y`, `z` are the vertices' coordinates on `axes[0]`, `axes[1]`, `axes[2]`; entries that no triangle names may hold

@@ -22,6 +22,7 @@ use crate::error::Result;
 use crate::format::PageId;
 use crate::geometry::{Aabb, Hit, Ray, Skip, Triangle};
 
+pub use arch::Isa;
 pub use attributes::{Attributes, attributes};
 pub use boxes::{Stored, triangles_in_box};
 pub use linear::LinearTracer;

@@ -15,15 +15,17 @@
 //! first used; here an offset of zero, or one that leads nowhere (a file cut short reads as zeros), is nothing.
 
 use std::borrow::Borrow;
-use std::cell::Cell;
+use std::cell::RefCell;
 
-use super::arch::{Planes, scalar};
+use bytemuck::Zeroable;
+
+use super::arch::{Isa, Job, Kernel, Planes};
 use super::collect::{Any, Closest, Collector, Next, Place};
 use super::setup::Setup;
 use super::{Counters, Found, Tracer};
 use crate::error::Result;
-use crate::exact::Decision;
-use crate::format::{Frame, Leaf, Node, PageId, Slot};
+use crate::exact::{Decision, Lanes, Line};
+use crate::format::{DEPTH_MAX, Frame, Leaf, Node, PageId};
 use crate::geometry::{Aabb, FaceId, Ray, RootCube, Skip};
 use crate::map::{Octree, Page};
 
@@ -33,6 +35,7 @@ pub struct OctreeTracer<O> {
     root: RootCube,
     bounds: Aabb,
     depth: u32,
+    isa: Isa,
 }
 
 impl<O: Borrow<Octree>> OctreeTracer<O> {
@@ -40,7 +43,17 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     pub fn new(octree: O) -> OctreeTracer<O> {
         let file = octree.borrow();
         let (root, bounds, depth) = (file.root(), file.bounds(), file.header().depth);
-        OctreeTracer { octree, root, bounds, depth }
+        OctreeTracer { octree, root, bounds, depth, isa: Isa::best() }
+    }
+
+    /// The same with a given instruction set; the answers are the same, bit for bit.
+    pub fn with_isa(self, isa: Isa) -> OctreeTracer<O> {
+        OctreeTracer { isa, ..self }
+    }
+
+    /// The instruction set in use.
+    pub fn isa(&self) -> Isa {
+        self.isa
     }
 
     /// The file.
@@ -48,43 +61,43 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         self.octree.borrow()
     }
 
-    /// Walks a ray; `None` if it is invalid or misses the root.
-    fn walk<C: Collector>(
+    /// Walks a ray with a collector; what `finish` makes of it, or `None` if the ray is invalid or misses the root.
+    #[inline]
+    fn walk<C: Collector, R>(
         &self,
         ray: &Ray,
         counters: &mut Counters,
-        collector: impl FnOnce(&Setup) -> C,
-    ) -> Result<Option<(Setup, C)>> {
+        begin: impl FnOnce(&Line) -> C,
+        finish: impl FnOnce(C, &Line) -> Option<R>,
+    ) -> Result<Option<R>> {
         counters.rays += 1;
         if !ray.is_valid() {
             return Ok(None);
         }
         let Some(setup) = Setup::new(ray, self.root, self.bounds, self.depth) else { return Ok(None) };
-        let mut collector = collector(&setup);
-        let mut stack = STACK.take();
-        stack.clear();
+        let mut collector = begin(&setup.line);
         let octree = self.octree();
-        let walked = Walk { octree, setup: &setup, far: setup.far, stack: &mut stack, counters }.run(&mut collector);
-        STACK.set(stack);
-        walked?;
+        STACK.with_borrow_mut(|stack| {
+            let walk = Walk { octree, setup: &setup, far: setup.far, stack, counters };
+            self.isa.run(OneRay { walk, collector: &mut collector })
+        })?;
         octree.fault()?;
-        Ok(Some((setup, collector)))
+        Ok(finish(collector, &setup.line))
     }
 }
 
 impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
     fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
-        let walked = self.walk(ray, counters, |_| Closest::new(skip))?;
-        Ok(walked.and_then(|(setup, closest)| closest.finish(&setup.line)))
+        self.walk(ray, counters, |_| Closest::new(skip), Closest::finish)
     }
 
     fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool> {
-        Ok(self.walk(ray, counters, |_| Any::new(skip))?.is_some_and(|(_, any)| any.found))
+        let found = self.walk(ray, counters, |_| Any::new(skip), |any, _| any.found.then_some(()))?;
+        Ok(found.is_some())
     }
 
     fn next(&self, ray: &Ray, skip: Skip, last: &Found) -> Result<Option<Found>> {
-        let walked = self.walk(ray, &mut Counters::default(), |setup| Closest::after(skip, &setup.line, last))?;
-        Ok(walked.and_then(|(setup, closest)| closest.finish(&setup.line)))
+        self.walk(ray, &mut Counters::default(), |line| Closest::after(skip, line, last), Closest::finish)
     }
 
     fn bounds(&self) -> Aabb {
@@ -92,29 +105,40 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
     }
 }
 
+/// Levels that a walk can need: a node of each depth, of the top and of a page.
+const LEVELS: usize = 2 * DEPTH_MAX as usize;
+
 thread_local! {
     /// Each thread's stack, kept so that a ray allocates nothing.
-    static STACK: Cell<Vec<Level>> = const { Cell::new(Vec::new()) };
+    static STACK: RefCell<Box<[Level; LEVELS]>> = RefCell::new(Box::new([Level::zeroed(); LEVELS]));
 }
 
-/// A node under way.
-#[derive(Clone, Copy)]
+/// A node under way. Written and read in place: a copy would wait for its own stores.
+#[derive(Clone, Copy, Zeroable)]
+#[repr(C, align(32))]
 struct Level {
-    planes: Planes,
     near: [f32; 8],
+    planes: Planes,
     node: u32,
     /// Its page, [`TOP`] for top nodes.
     page: u32,
-    /// Slots left to visit: bit i stands for slot i XOR a.
-    left: u8,
+    /// Slots left to visit: bit i stands for slot i XOR a, like entry i of `near`.
+    left: u32,
 }
 
 const TOP: u32 = u32::MAX;
+
+/// Slot bytes, see [`crate::format::Slot`]: below `EMPTY` a leaf; the two highest bits of the others.
+const EMPTY: u8 = 0x7f;
+const INNER: u8 = 0x80;
+const BRICK: u8 = 0xc0;
 
 /// The nodes that a level's number counts in.
 #[derive(Clone, Copy)]
 struct View<'a> {
     nodes: &'a [Node],
+    /// The page's number, [`TOP`] for the top.
+    number: u32,
     page: Option<Page<'a>>,
 }
 
@@ -123,153 +147,156 @@ struct Walk<'a, 'w> {
     setup: &'w Setup,
     /// The parameter beyond which nothing matters.
     far: f32,
-    stack: &'w mut Vec<Level>,
+    stack: &'w mut [Level; LEVELS],
     counters: &'w mut Counters,
 }
 
-/// What a visited slot leads to.
-enum Step {
-    On,
-    Down(Level),
-    Done,
+/// The walk of one ray, to be done with whichever kernel is there.
+struct OneRay<'a, 'w, C> {
+    walk: Walk<'a, 'w>,
+    collector: &'w mut C,
+}
+
+impl<C: Collector> Job for OneRay<'_, '_, C> {
+    type Output = Result<()>;
+
+    #[inline(always)]
+    fn run<K: Kernel>(mut self, kernel: K) -> Result<()> {
+        self.walk.run(kernel, self.collector)
+    }
 }
 
 impl<'a> Walk<'a, '_> {
-    fn run(&mut self, collector: &mut impl Collector) -> Result<()> {
-        let (mut view, mut level) = match self.octree.top_nodes().first() {
-            Some(_) => {
+    #[inline(always)]
+    fn run<K: Kernel>(&mut self, kernel: K, collector: &mut impl Collector) -> Result<()> {
+        let mut view = match self.octree.top_nodes().is_empty() {
+            false => {
                 let view = self.view(TOP)?;
-                (view, self.enter(view, TOP, 0, self.planes(&Frame::ROOT)))
+                self.enter(kernel, &view, 0, 0, self.setup.planes(&Frame::ROOT));
+                view
             }
-            None => match self.enter_brick(0)? {
-                Some(entered) => entered,
+            true => match self.brick(0)? {
+                Some((view, planes)) => {
+                    self.enter(kernel, &view, 0, 0, planes);
+                    view
+                }
                 None => return Ok(()),
             },
         };
+        let mask = usize::from(self.setup.way.mask & 7);
+        let mut top = 0;
         loop {
-            while level.left != 0 {
-                let i = level.left.trailing_zeros();
-                level.left &= level.left - 1;
-                let slot = (i as u8 ^ self.setup.mask) as usize & 7;
-                if level.near[slot] > self.far {
+            let level = &mut self.stack[top];
+            if level.left == 0 {
+                if top == 0 {
+                    return Ok(());
+                }
+                top -= 1;
+                if self.stack[top].page != view.number {
+                    view = self.view(self.stack[top].page)?;
+                }
+                continue;
+            }
+            let i = (level.left.trailing_zeros() & 7) as usize;
+            level.left &= level.left - 1;
+            if level.near[i] > self.far {
+                continue;
+            }
+            let slot = i ^ mask;
+            // A level with nothing left is not needed again.
+            let below = (top + usize::from(level.left != 0)).min(LEVELS - 1);
+            let index = level.node;
+            let Some(node) = view.nodes.get(index as usize) else { continue };
+            let byte = node.slots[slot & 7];
+            if byte < EMPTY {
+                if node.first_leaf != 0 && self.leaf(kernel, &view, index, node, byte, collector) == Next::Done {
+                    return Ok(());
+                }
+            } else if byte & 0xc0 == INNER && node.first_child != 0 {
+                let child = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
+                let planes = kernel.child(&level.planes, node, slot, &self.setup.way);
+                self.enter(kernel, &view, below, child, planes);
+                top = below;
+            } else if byte & 0xc0 == BRICK && view.page.is_none() {
+                let Some((inside, planes)) = self.brick(node.first_leaf.wrapping_add(u32::from(byte & 7)))? else {
                     continue;
-                }
-                let page = level.page;
-                match self.visit(&mut view, &level, slot, collector)? {
-                    Step::On => {}
-                    Step::Done => return Ok(()),
-                    Step::Down(child) => {
-                        if level.left != 0 {
-                            self.stack.push(Level { page, ..level });
-                        }
-                        level = child;
-                    }
-                }
+                };
+                view = inside;
+                self.enter(kernel, &view, below, 0, planes);
+                top = below;
             }
-            let Some(up) = self.stack.pop() else { return Ok(()) };
-            if up.page != level.page {
-                view = self.view(up.page)?;
-            }
-            level = up;
         }
-    }
-
-    /// Visits one slot of a node; `view` changes where that leads into a page.
-    #[inline]
-    fn visit(
-        &mut self,
-        view: &mut View<'a>,
-        level: &Level,
-        slot: usize,
-        collector: &mut impl Collector,
-    ) -> Result<Step> {
-        let Some(node) = view.nodes.get(level.node as usize) else { return Ok(Step::On) };
-        let step = match Slot::decode(node.slots[slot]) {
-            Some(Slot::Inner(rank)) if node.first_child != 0 => {
-                let child = level.node.wrapping_add(node.first_child).wrapping_add(u32::from(rank));
-                Step::Down(self.enter(*view, level.page, child, self.shrink(&level.planes, node, slot)))
-            }
-            Some(Slot::Leaf(units)) if node.first_leaf != 0 => {
-                let Some(page) = &view.page else { return Ok(Step::On) };
-                let offset = 64
-                    + 64 * level.node as usize
-                    + 16 * node.first_leaf as usize
-                    + self.octree.leaf_unit().bytes() * usize::from(units);
-                match self.leaf(page, PageId(level.page), page.leaf(offset), collector) {
-                    Next::Done => Step::Done,
-                    _ => Step::On,
-                }
-            }
-            Some(Slot::Brick(rank)) if view.page.is_none() => {
-                match self.enter_brick(node.first_leaf.wrapping_add(u32::from(rank)))? {
-                    Some((inside, level)) => {
-                        *view = inside;
-                        Step::Down(level)
-                    }
-                    None => Step::On,
-                }
-            }
-            _ => Step::On,
-        };
-        Ok(step)
     }
 
     /// The nodes of a page or of the top.
-    fn view(&self, page: u32) -> Result<View<'a>> {
-        if page == TOP {
-            return Ok(View { nodes: self.octree.top_nodes(), page: None });
+    #[inline(always)]
+    fn view(&self, number: u32) -> Result<View<'a>> {
+        if number == TOP {
+            return Ok(View { nodes: self.octree.top_nodes(), number, page: None });
         }
-        let page = self.octree.page(PageId(page))?;
-        Ok(View { nodes: page.nodes(), page: Some(page) })
+        let page = self.octree.page(PageId(number))?;
+        Ok(View { nodes: page.nodes(), number, page: Some(page) })
     }
 
-    /// Enters the root node of a brick by its own frame.
-    fn enter_brick(&mut self, number: u32) -> Result<Option<(View<'a>, Level)>> {
+    /// A brick's page and its own frame.
+    #[inline(always)]
+    fn brick(&mut self, number: u32) -> Result<Option<(View<'a>, Planes)>> {
         let Some(brick) = self.octree.bricks().get(number as usize) else { return Ok(None) };
         self.counters.bricks += 1;
         let frame = Frame { corner: brick.corner.map(f64::from), unit: brick.unit.map(f64::from) };
-        let view = self.view(number)?;
-        Ok(Some((view, self.enter(view, number, 0, self.planes(&frame)))))
+        Ok(Some((self.view(number)?, self.setup.planes(&frame))))
     }
 
-    /// Tests the slots of a node.
-    #[inline]
-    fn enter(&mut self, view: View<'a>, page: u32, node: u32, planes: Planes) -> Level {
+    /// Tests the slots of a node, which becomes a level of the stack.
+    #[inline(always)]
+    fn enter<K: Kernel>(&mut self, kernel: K, view: &View<'a>, level: usize, node: u32, planes: Planes) {
         self.counters.nodes += 1;
         let record = view.nodes.get(node as usize).unwrap_or(&Node::EMPTY);
-        let touched = scalar::touch(record, &planes, self.setup, self.far);
-        Level { planes, near: touched.near, node, page, left: permute(touched.slots, self.setup.mask) }
+        let touched = kernel.touch(record, &planes, &self.setup.way, self.far);
+        let level = &mut self.stack[level];
+        level.near = touched.near;
+        level.planes = planes;
+        level.node = node;
+        level.page = view.number;
+        level.left = u32::from(touched.slots);
     }
 
-    /// The parameters of a frame, from f64.
-    fn planes(&self, frame: &Frame) -> Planes {
-        let dt = std::array::from_fn(|i| frame.unit[i] as f32 * self.setup.inv32[i]);
-        Planes { t0: self.setup.corner(frame.corner), dt }
-    }
-
-    /// The parameters of an inner child's frame; FORMAT.md, "Frame".
-    #[inline]
-    fn shrink(&self, planes: &Planes, node: &Node, slot: usize) -> Planes {
-        const LEAST_UNIT: f32 = Frame::LEAST_UNIT as f32;
-        let mut child = *planes;
-        for i in 0..3 {
-            let (low, high) = (node.low[i][slot], node.high[i][slot]);
-            child.t0[i] += f32::from(low) * planes.dt[i];
-            // A power of two times dt: exact, as dt is at least 2^-33 in magnitude or zero.
-            let exponent = 31 - u32::from(high.saturating_sub(low).max(1)).leading_zeros();
-            let dt = planes.dt[i] * f32::from_bits((exponent + 127 - 7) << 23);
-            let least = self.setup.inv32[i] * LEAST_UNIT;
-            child.dt[i] = if dt.abs() < least.abs() { least } else { dt };
-        }
-        child
-    }
-
-    /// Tests a leaf's triangles and offers the hits.
-    #[inline]
-    fn leaf(&mut self, page: &Page<'a>, id: PageId, leaf: Leaf<'a>, collector: &mut impl Collector) -> Next {
+    /// Tests the triangles of the leaf that slot byte `units` of a node names, and offers the hits.
+    #[inline(always)]
+    fn leaf<K: Kernel>(
+        &mut self,
+        kernel: K,
+        view: &View<'a>,
+        index: u32,
+        node: &Node,
+        units: u8,
+        collector: &mut impl Collector,
+    ) -> Next {
+        let Some(page) = &view.page else { return Next::On };
+        let offset = 64
+            + 64 * index as usize
+            + 16 * node.first_leaf as usize
+            + self.octree.leaf_unit().bytes() * usize::from(units);
+        let leaf = page.leaf(offset);
         self.counters.leaves += 1;
         self.counters.triangles += leaf.len() as u64;
-        let lanes = scalar::classify(&leaf, &self.setup.shear);
+        let lanes = kernel.classify(&leaf, &self.setup.shear);
+        if lanes.accept | lanes.doubt == 0 {
+            return Next::On;
+        }
+        self.settle(page, PageId(view.number), &leaf, lanes, collector)
+    }
+
+    /// Decides what the filter left, exactly, and offers the hits.
+    #[inline(never)]
+    fn settle(
+        &mut self,
+        page: &Page<'a>,
+        id: PageId,
+        leaf: &Leaf<'a>,
+        lanes: Lanes,
+        collector: &mut impl Collector,
+    ) -> Next {
         self.counters.doubts += u64::from(lanes.doubt.count_ones());
         let mut left = lanes.accept | lanes.doubt;
         while left != 0 {
@@ -308,35 +335,5 @@ impl Place for Reference<'_, '_> {
     }
     fn reference(&self) -> u32 {
         self.reference
-    }
-}
-
-/// Moves bit s to bit s XOR a.
-#[inline]
-fn permute(bits: u8, a: u8) -> u8 {
-    let mut b = bits;
-    if a & 1 != 0 {
-        b = (b & 0x55) << 1 | (b >> 1) & 0x55;
-    }
-    if a & 2 != 0 {
-        b = (b & 0x33) << 2 | (b >> 2) & 0x33;
-    }
-    if a & 4 != 0 {
-        b = b.rotate_left(4);
-    }
-    b
-}
-
-#[cfg(test)]
-mod tests {
-    use super::permute;
-
-    #[test]
-    fn permutes_by_xor() {
-        for a in 0..8u8 {
-            for s in 0..8u8 {
-                assert_eq!(permute(1 << s, a), 1 << (s ^ a));
-            }
-        }
     }
 }

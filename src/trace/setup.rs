@@ -9,13 +9,13 @@
 //! eight times all of them together. It widens the root's slabs here, every slab below (through `slack`), and the best hit's parameter.
 //!
 //! **Errors of f32** in the node loop, eps = 2^-24, A = |p'_i|, all in units of |inv_i| = 1 / |g_i|. A plane q of a node has the parameter
-//! t0 + q dt; a child's t0 is fl(t0 + fl(low dt)), its dt the parent's times an exact power of two. The corners of frames lie in
-//! 0..1, and low * unit summed over a path is at most 1. So a plane's computed parameter is off by at most
-//! - eps (A + 1): t0 of the root or brick, rounded once from f64;
+//! t0 + q dt. The walk carries t0 less the slack and t0 plus the slack (`begin`, `end`); a child's is fl(t0 + fl(low dt)), or fused with one rounding
+//! less, its dt the parent's times an exact power of two. The corners of frames lie in 0..1, and low * unit summed over a path is
+//! at most 1. So a plane's computed parameter is off by at most
+//! - eps (A + 1): t0 of the root or brick, rounded once from f64; twice that for the slack taken off or added there;
 //! - eps: the rounding of inv itself, on a path's sum of q * dt;
 //! - eps: the products' roundings, which add up to those on one path;
-//! - eps (A + 1) for each of L levels: the sums' roundings;
-//! - 2 eps (A + 2): adding the slack and the last product.
+//! - eps (A + 1) for each of L levels, and once more at the last plane: the sums' roundings.
 //!
 //! Together less than eps (L + 4) (A + 3), L being the file's depth. `slack` = |inv| (pad + eps (L + 4) (A + 3)), rounded up, is subtracted from
 //! every near and added to every far parameter. A slab that the exact ray touches is therefore never lost, and near
@@ -29,7 +29,9 @@
 //! **Extremes.** From 2^40 root sizes on, f64 says too little: the walk then visits all boxes (`inv` = 0, infinite slack in effect) and only the
 //! exact triangle test decides. Slow, and right.
 
+use super::arch::{Planes, Way};
 use crate::exact::{Line, Shear};
+use crate::format::Frame;
 use crate::geometry::{Aabb, Ray, RootCube};
 
 /// A ray ready to walk an octree.
@@ -39,17 +41,16 @@ pub(super) struct Setup {
     pub line: Line,
     /// For its f32 filter.
     pub shear: Shear,
-    /// The direction mask a: bit 2 - i set where axis i is traversed downwards.
-    pub mask: u8,
+    /// For the node test.
+    pub way: Way,
     /// p'.
     origin: [f64; 3],
     inv: [f64; 3],
     /// `inv` rounded once; dt of a frame is its unit times this.
-    pub inv32: [f32; 3],
+    inv32: [f32; 3],
     /// In parameter units, see above.
-    pub slack: [f32; 3],
-    /// Parameters (relative to tau0) between which the ray is within the root and its interval, rounded outward.
-    pub near: f32,
+    slack: [f32; 3],
+    /// The parameter (relative to tau0) at which the ray leaves the root or its interval, rounded up.
     pub far: f32,
     /// tau = t * scale.
     scale: f64,
@@ -96,18 +97,24 @@ impl Setup {
         let mut setup = Setup {
             line: Line::new(ray),
             shear: Shear::new(ray, bounds),
-            mask: (0..3).fold(0, |mask, i| mask << 1 | u8::from(inv[i] < 0.0)),
+            way: Way {
+                least: [0.0; 4],
+                mask: (0..3).fold(0, |mask, i| mask << 1 | u8::from(inv[i] < 0.0)),
+                near: ((enter - tau0) as f32).next_down(),
+            },
             origin: std::array::from_fn(|i| p[i] + tau0 * g[i]),
             inv,
             inv32: inv.map(|x| x as f32),
             slack: [0.0; 3],
-            near: ((enter - tau0) as f32).next_down(),
             far: ((exit - tau0) as f32).next_up(),
             scale,
             tau0,
             pad,
         };
         setup.widen(depth);
+        for i in 0..3 {
+            setup.way.least[i] = setup.inv32[i] * Frame::LEAST_UNIT as f32;
+        }
         Some(setup)
     }
 
@@ -124,9 +131,16 @@ impl Setup {
         });
     }
 
-    /// The parameters of a frame's corner, rounded once.
-    pub fn corner(&self, corner: [f64; 3]) -> [f32; 3] {
-        std::array::from_fn(|i| ((corner[i] - self.origin[i]) * self.inv[i]) as f32)
+    /// The parameters of a brick's or the root's frame: its corner's rounded once, then the slack taken off and added.
+    pub fn planes(&self, frame: &Frame) -> Planes {
+        let mut planes = Planes { begin: [0.0; 4], end: [0.0; 4], dt: [0.0; 4] };
+        for i in 0..3 {
+            let corner = ((frame.corner[i] - self.origin[i]) * self.inv[i]) as f32;
+            planes.begin[i] = corner - self.slack[i];
+            planes.end[i] = corner + self.slack[i];
+            planes.dt[i] = frame.unit[i] as f32 * self.inv32[i];
+        }
+        planes
     }
 
     /// The parameter that no nearer node may pass, for a hit at most at `t`, rounded up.

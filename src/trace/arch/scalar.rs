@@ -1,40 +1,63 @@
 //! The portable inner loops.
 
-use super::{Planes, Touched};
+use super::{Kernel, Planes, Touched, Way};
 use crate::exact::{LANES, Lanes, Shear};
-use crate::format::{Coding, Leaf, Node};
-use crate::trace::setup::Setup;
+use crate::format::{Coding, Frame, Leaf, Node};
 
-/// Which slots of a node the ray touches between the setup's near parameter and `far`.
-///
-/// Maxima and minima are comparisons that keep the bound in place where a value is NaN. Empty slots are left to the caller.
-#[inline]
-pub fn touch(node: &Node, planes: &Planes, setup: &Setup, far: f32) -> Touched {
-    let mut near = [setup.near; 8];
-    let mut last = [far; 8];
-    for axis in 0..3 {
-        let down = setup.mask & (4 >> axis) != 0;
-        let (first, second) = if down { (&node.high, &node.low) } else { (&node.low, &node.high) };
-        let (first, second) = (&first[axis], &second[axis]);
-        let (dt, t0) = (planes.dt[axis], planes.t0[axis]);
-        let (begin, end) = (t0 - setup.slack[axis], t0 + setup.slack[axis]);
-        for slot in 0..8 {
-            let enter = begin + f32::from(first[slot]) * dt;
-            let leave = end + f32::from(second[slot]) * dt;
-            near[slot] = if enter > near[slot] { enter } else { near[slot] };
-            last[slot] = if leave < last[slot] { leave } else { last[slot] };
+/// Portable code over fixed arrays.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Scalar;
+
+impl Kernel for Scalar {
+    /// Maxima and minima are comparisons that keep the bound in place where a value is NaN.
+    #[inline(always)]
+    fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched {
+        let mut near = [way.near; 8];
+        let mut last = [far; 8];
+        for axis in 0..3 {
+            let down = way.mask & (4 >> axis) != 0;
+            let (first, second) = if down { (&node.high, &node.low) } else { (&node.low, &node.high) };
+            let (first, second) = (&first[axis], &second[axis]);
+            let (dt, begin, end) = (planes.dt[axis], planes.begin[axis], planes.end[axis]);
+            for i in 0..8 {
+                let slot = i ^ usize::from(way.mask & 7);
+                let enter = begin + f32::from(first[slot]) * dt;
+                let leave = end + f32::from(second[slot]) * dt;
+                near[i] = if enter > near[i] { enter } else { near[i] };
+                last[i] = if leave < last[i] { leave } else { last[i] };
+            }
         }
+        let mut slots = 0;
+        for i in 0..8 {
+            slots |= u8::from(near[i] <= last[i]) << i;
+        }
+        Touched { near, slots }
     }
-    let mut slots = 0;
-    for slot in 0..8 {
-        slots |= u8::from(near[slot] <= last[slot]) << slot;
+
+    #[inline(always)]
+    fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes {
+        let mut child = *planes;
+        for axis in 0..3 {
+            let (low, high) = (node.low[axis][slot & 7], node.high[axis][slot & 7]);
+            let step = f32::from(low) * planes.dt[axis];
+            child.begin[axis] += step;
+            child.end[axis] += step;
+            // A power of two times dt: exact.
+            let dt = planes.dt[axis] * Frame::shrink(low, high) as f32;
+            child.dt[axis] = if dt.abs() < way.least[axis].abs() { way.least[axis] } else { dt };
+        }
+        child
     }
-    Touched { near, slots }
+
+    #[inline(always)]
+    fn classify(self, leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+        classify(leaf, shear)
+    }
 }
 
 /// Classifies a leaf's triangles.
 #[inline]
-pub fn classify(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+pub(super) fn classify(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
     match leaf.coding() {
         Coding::Nibbles => classify_over::<16>(leaf, shear, &spread(leaf.corner_words())),
         Coding::Bytes => classify_over::<32>(leaf, shear, &leaf.corner_bytes()),
@@ -68,18 +91,15 @@ fn coordinates<'a, const N: usize>(leaf: &Leaf<'a>, axis: usize) -> Option<&'a [
 /// Vertex numbers of 4 bits as bytes.
 #[inline]
 fn spread(words: [u64; 3]) -> [[u8; LANES]; 3] {
-    [spread_word(words[0]), spread_word(words[1]), spread_word(words[2])]
-}
-
-/// The same for one corner: each step doubles the distance between the halves of what it has.
-#[inline]
-fn spread_word(word: u64) -> [u8; LANES] {
-    let half = |x: u64| {
-        let x = (x | x << 16) & 0x0000_ffff_0000_ffff;
-        let x = (x | x << 8) & 0x00ff_00ff_00ff_00ff;
-        u128::from((x | x << 4) & 0x0f0f_0f0f_0f0f_0f0f)
-    };
-    (half(word & 0xffff_ffff) | half(word >> 32) << 64).to_le_bytes()
+    words.map(|word| {
+        let half = |x: u64| {
+            let x = (x | x << 16) & 0x0000_ffff_0000_ffff;
+            let x = (x | x << 8) & 0x00ff_00ff_00ff_00ff;
+            ((x | x << 4) & 0x0f0f_0f0f_0f0f_0f0f).to_le_bytes()
+        };
+        let (low, high) = (half(word & 0xffff_ffff), half(word >> 32));
+        std::array::from_fn(|j| if j < 8 { low[j] } else { high[j - 8] })
+    })
 }
 
 #[cfg(test)]
