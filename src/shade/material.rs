@@ -109,12 +109,8 @@ mod tests {
     #[test]
     fn a_gray_ka_is_a_share_of_the_diffuse_colour() {
         let plain = Surface::from(&Material::default());
-        let black = MaterialRecord {
-            ka: [1.0; 3],
-            kd: [0.0, 0.125, 0.0],
-            given: given::KA | given::KD,
-            ..Default::default()
-        };
+        let black =
+            MaterialRecord { ka: [1.0; 3], kd: [0.0, 0.125, 0.0], given: given::KA | given::KD, ..Default::default() };
         assert_eq!(plain.overlaid(&black, None, None).ambient, DVec3::new(0.0, 0.125, 0.0));
         let red = MaterialRecord { ka: [0.5, 0.0, 0.0], ..black };
         assert_eq!(plain.overlaid(&red, None, None).ambient, DVec3::new(0.5, 0.0, 0.0));
