@@ -34,7 +34,26 @@ use crate::exact::{Line, Shear};
 use crate::format::Frame;
 use crate::geometry::{Aabb, Ray, RootCube};
 
-/// A ray ready to walk an octree.
+/// What all rays of a file share.
+#[derive(Clone, Debug)]
+pub(super) struct Scene {
+    /// Box around all triangles.
+    pub bounds: Aabb,
+    root: RootCube,
+    /// 1 / the root's side, a power of two.
+    scale: f64,
+    /// eps (L + 4).
+    rounding: f64,
+}
+
+impl Scene {
+    /// `depth` is the file's.
+    pub fn new(root: RootCube, bounds: Aabb, depth: u32) -> Scene {
+        Scene { bounds, root, scale: exp2(-root.log2_side), rounding: (f64::from(depth) + 4.0) / 16_777_216.0 }
+    }
+}
+
+/// A ray ready to walk an octree. Made once and aimed at each ray of a batch, as it is too large to hand around.
 #[derive(Clone, Debug)]
 pub(super) struct Setup {
     /// For the exact test.
@@ -59,79 +78,111 @@ pub(super) struct Setup {
 }
 
 /// 2^k for -1022 <= k <= 1023.
+#[inline(always)]
 fn exp2(k: i32) -> f64 {
     f64::from_bits(((k + 1023) as u64) << 52)
 }
 
 /// floor(log2(x)) of a normal, positive f64 (every positive f32 is one).
+#[inline(always)]
 fn log2_floor(x: f64) -> i32 {
     (x.to_bits() >> 52) as i32 - 1023
 }
 
+/// The larger; the second if either is NaN.
+#[inline(always)]
+fn greater(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// The lesser; the second if either is NaN.
+#[inline(always)]
+fn lesser(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
 const LEAST_COMPONENT: f64 = 1.0 / (1u128 << 100) as f64;
+const PAD: f64 = 1.0 / (1u64 << 46) as f64;
+/// From this pad on the walk visits all boxes.
+const PAD_MAX: f64 = 1.0 / 64.0;
 
 impl Setup {
-    /// Prepares a valid ray; `None` if it misses the root cube. `depth` is the file's.
-    pub fn new(ray: &Ray, root: RootCube, bounds: Aabb, depth: u32) -> Option<Setup> {
-        let d = ray.direction.map(f64::from);
-        let exponent = log2_floor(d[0].abs().max(d[1].abs()).max(d[2].abs()));
-        let g = d.map(|x| x * exp2(-exponent));
-        let scale = exp2(exponent - root.log2_side);
-        let p = root.to_root_units(ray.origin.into()).to_array();
-        let pad = 2f64.powi(-46) * (p[0].abs().max(p[1].abs()).max(p[2].abs()) + 2.0);
-        let inv = g.map(|x| if x.abs() < LEAST_COMPONENT { (1.0 / LEAST_COMPONENT).copysign(x) } else { 1.0 / x });
+    /// One that is yet to be aimed.
+    pub fn blank() -> Setup {
+        Setup {
+            line: Line::new(&Ray::new([0.0; 3], [0.0; 3])),
+            shear: Shear::default(),
+            way: Way::default(),
+            origin: [0.0; 3],
+            inv: [0.0; 3],
+            inv32: [0.0; 3],
+            slack: [0.0; 3],
+            far: 0.0,
+            scale: 0.0,
+            tau0: 0.0,
+            pad: 0.0,
+        }
+    }
+
+    /// Prepares a valid ray; false if it misses the root cube, and then nothing here is to be used.
+    #[inline(always)]
+    pub fn aim(&mut self, ray: &Ray, scene: &Scene) -> bool {
+        let [dx, dy, dz] = [f64::from(ray.direction[0]), f64::from(ray.direction[1]), f64::from(ray.direction[2])];
+        let exponent = log2_floor(greater(greater(dx.abs(), dy.abs()), dz.abs()));
+        let shrink = exp2(-exponent);
+        let g = [dx * shrink, dy * shrink, dz * shrink];
+        let scale = exp2(exponent) * scene.scale;
+        let corner = scene.root.corner;
+        // Scaling by powers of two is exact.
+        let p = [
+            (f64::from(ray.origin[0]) - corner.x) * scene.scale,
+            (f64::from(ray.origin[1]) - corner.y) * scene.scale,
+            (f64::from(ray.origin[2]) - corner.z) * scene.scale,
+        ];
+        let pad = PAD * (greater(greater(p[0].abs(), p[1].abs()), p[2].abs()) + 2.0);
+        let mut inv = [0.0; 3];
+        for i in 0..3 {
+            let component = if g[i].abs() < LEAST_COMPONENT { LEAST_COMPONENT.copysign(g[i]) } else { g[i] };
+            inv[i] = 1.0 / component;
+        }
 
         // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
         let mut enter = f64::from(ray.tmin.next_down()) * scale;
         let mut exit = f64::from(ray.tmax.next_up()) * scale;
         for i in 0..3 {
             let (a, b) = ((-pad - p[i]) * inv[i], (1.0 + pad - p[i]) * inv[i]);
-            let (near, far) = if inv[i] < 0.0 { (b, a) } else { (a, b) };
-            enter = if near > enter { near } else { enter };
-            exit = if far < exit { far } else { exit };
+            enter = greater(lesser(a, b), enter);
+            exit = lesser(greater(a, b), exit);
         }
         if enter > exit {
-            return None;
+            return false;
         }
-        let tau0 = 0f64.clamp(enter, exit);
-        let mut setup = Setup {
-            line: Line::new(ray),
-            shear: Shear::new(ray, bounds),
-            way: Way {
-                least: [0.0; 4],
-                mask: (0..3).fold(0, |mask, i| mask << 1 | u8::from(inv[i] < 0.0)),
-                near: ((enter - tau0) as f32).next_down(),
-            },
-            origin: std::array::from_fn(|i| p[i] + tau0 * g[i]),
-            inv,
-            inv32: inv.map(|x| x as f32),
-            slack: [0.0; 3],
-            far: ((exit - tau0) as f32).next_up(),
-            scale,
-            tau0,
-            pad,
-        };
-        setup.widen(depth);
+        let tau0 = lesser(greater(0.0, enter), exit);
+        let way = &mut self.way;
+        way.mask = u8::from(inv[0] < 0.0) << 2 | u8::from(inv[1] < 0.0) << 1 | u8::from(inv[2] < 0.0);
+        way.near = ((enter - tau0) as f32).next_down();
+        self.far = ((exit - tau0) as f32).next_up();
+        (self.scale, self.tau0, self.pad) = (scale, tau0, pad);
+        // Too far away for f64 to say anything.
+        let blind = pad > PAD_MAX;
         for i in 0..3 {
-            setup.way.least[i] = setup.inv32[i] * Frame::LEAST_UNIT as f32;
+            let origin = p[i] + tau0 * g[i];
+            let position = pad + scene.rounding * (origin.abs() + 3.0);
+            let slack = ((inv[i].abs() * position) as f32).next_up();
+            let inv = if blind { 0.0 } else { inv[i] };
+            self.origin[i] = if blind { 0.0 } else { origin };
+            self.slack[i] = if blind { f32::MAX / 4.0 } else { slack };
+            self.inv[i] = inv;
+            self.inv32[i] = inv as f32;
+            self.way.least[i] = inv as f32 * Frame::LEAST_UNIT as f32;
         }
-        Some(setup)
-    }
-
-    /// Computes the slack.
-    fn widen(&mut self, depth: u32) {
-        if self.pad > 2f64.powi(-6) {
-            (self.origin, self.inv, self.inv32, self.slack) = ([0.0; 3], [0.0; 3], [0.0; 3], [f32::MAX / 4.0; 3]);
-            return;
-        }
-        let levels = f64::from(depth) + 4.0;
-        self.slack = std::array::from_fn(|i| {
-            let position = self.pad + levels * (self.origin[i].abs() + 3.0) / 16_777_216.0;
-            ((self.inv[i].abs() * position) as f32).next_up()
-        });
+        self.line = Line::new(ray);
+        self.shear = Shear::new(ray, scene.bounds);
+        true
     }
 
     /// The parameters of a brick's or the root's frame: its corner's rounded once, then the slack taken off and added.
+    #[inline(always)]
     pub fn planes(&self, frame: &Frame) -> Planes {
         let mut planes = Planes { begin: [0.0; 4], end: [0.0; 4], dt: [0.0; 4] };
         for i in 0..3 {
@@ -144,6 +195,7 @@ impl Setup {
     }
 
     /// The parameter that no nearer node may pass, for a hit at most at `t`, rounded up.
+    #[inline(always)]
     pub fn reach(&self, t: f64) -> f32 {
         ((t * self.scale - self.tau0 + self.pad) as f32).next_up()
     }
