@@ -148,3 +148,17 @@ fn a_full_disk_is_the_machines_failure() {
     command.stdout(std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap());
     assert_eq!(command.stderr(Stdio::null()).status().unwrap().code(), Some(4));
 }
+
+#[test]
+fn every_instruction_set_gives_the_same_bytes() {
+    let lab = square();
+    let rays = grid(100);
+    let bytes: &[u8] = bytemuck::cast_slice(&rays);
+    let expected = trace(&lab, &["a.oct"], bytes);
+    for isa in octrace::trace::Isa::available() {
+        assert!(trace(&lab, &["a.oct", "--isa", isa.name()], bytes) == expected, "{isa:?}");
+    }
+    let output = lab.run_with("octtrace", &["a.oct", "--isa", "mmx"], bytes);
+    assert_eq!(output.status.code(), Some(2), "{}", told(&output));
+    assert!(told(&output).contains("mmx"));
+}
