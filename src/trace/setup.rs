@@ -26,11 +26,12 @@
 //! slab, or outside by less than that motion, near <= -2^100 (pad / 2) <= -2^52 and far >= 2^52, which bind nothing; outside by
 //! more than the slack, near or far lies beyond any parameter of the root and the slab is rejected.
 //!
-//! **Extremes.** From 2^40 root sizes on, f64 says too little: the walk then visits all boxes (`inv` = 0, infinite slack in effect) and only the
-//! exact triangle test decides. Slow, and right.
+//! **Far origins.** From 2^30 root sizes on, f64 places the root too badly along the ray. The start is then brought near the root in exact
+//! steps first ([`approach`]): each leaves 2^-45 of the distance, and the point that it ends at is exact before it is rounded.
+//! Only a ray whose steps do not get there visits all boxes (`inv` = 0, infinite slack in effect), and the exact triangle test decides.
 
 use super::arch::{Planes, Way};
-use crate::exact::{Line, Shear};
+use crate::exact::{Expansion, Line, Shear};
 use crate::format::Frame;
 use crate::geometry::{Aabb, Ray, RootCube};
 
@@ -74,7 +75,18 @@ pub(super) struct Setup {
     /// tau = t * scale.
     scale: f64,
     tau0: f64,
+    /// Error bound of a hit's parameter.
     pad: f64,
+}
+
+/// Where the walk's set-up starts from.
+struct Start {
+    /// The point at parameter `tau`, in root units.
+    p: [f64; 3],
+    /// The ray's interval relative to `tau`, rounded outward.
+    enter: f64,
+    exit: f64,
+    tau: f64,
 }
 
 /// 2^k for -1022 <= k <= 1023.
@@ -103,8 +115,81 @@ fn lesser(a: f64, b: f64) -> f64 {
 
 const LEAST_COMPONENT: f64 = 1.0 / (1u128 << 100) as f64;
 const PAD: f64 = 1.0 / (1u64 << 46) as f64;
+/// From this distance on, in root sizes, the start is brought nearer.
+const FAR: f64 = (1u64 << 30) as f64;
 /// From this pad on the walk visits all boxes.
 const PAD_MAX: f64 = 1.0 / 64.0;
+
+/// The largest magnitude.
+#[inline(always)]
+fn largest(p: [f64; 3]) -> f64 {
+    greater(greater(p[0].abs(), p[1].abs()), p[2].abs())
+}
+
+/// The part of an interval in which the ray is within the root's slabs, padded by so much on each axis.
+#[inline(always)]
+fn within_root(p: [f64; 3], inv: [f64; 3], pads: [f64; 3], (mut enter, mut exit): (f64, f64)) -> (f64, f64) {
+    for i in 0..3 {
+        let (a, b) = ((-pads[i] - p[i]) * inv[i], (1.0 + pads[i] - p[i]) * inv[i]);
+        enter = greater(lesser(a, b), enter);
+        exit = lesser(greater(a, b), exit);
+    }
+    (enter, exit)
+}
+
+/// Brings a start from far away near the root, in exact steps along the ray; `None` if the ray misses the root.
+///
+/// Every step is an f64, and tau and the point are kept as exact sums, so that nothing is lost. An axis is padded by the rounding of
+/// its own coordinate.
+#[cold]
+#[inline(never)]
+fn approach(ray: &Ray, scene: &Scene, g: [f64; 3], inv: [f64; 3], (first, last): (f64, f64)) -> Option<Start> {
+    const STEPS: usize = 12;
+    let corner = scene.root.corner.to_array();
+    let mut point: [Expansion; 3] = std::array::from_fn(|i| {
+        let mut x = Expansion::from(f64::from(ray.origin[i]));
+        x.grow(-corner[i]);
+        x.scale(scene.scale)
+    });
+    let mut tau = Expansion::default();
+    let mut start = Start { p: [0.0; 3], enter: first, exit: last, tau: 0.0 };
+    for _ in 0..STEPS {
+        start.p = std::array::from_fn(|i| point[i].estimate());
+        start.tau = tau.estimate();
+        // Relative to tau, rounded outward; an estimate is good to 2^-50.
+        let relative = |t: f64, outward: f64| {
+            let exact = (&Expansion::from(t) - &tau).estimate();
+            if t.is_infinite() { t } else { exact + outward * exact.abs() * (8.0 * f64::EPSILON) }
+        };
+        (start.enter, start.exit) = (relative(first, -1.0), relative(last, 1.0));
+        let reach = largest(start.p) + 2.0;
+        let mut pads = [0.0; 3];
+        for i in 0..3 {
+            pads[i] = PAD * (start.p[i].abs() + 2.0);
+            if g[i].abs() < LEAST_COMPONENT {
+                // No parameter: inside or outside, give or take how far the ray moves along the axis on its way.
+                pads[i] += 4.0 * g[i].abs() * reach;
+                if start.p[i] < -pads[i] || start.p[i] > 1.0 + pads[i] {
+                    return None;
+                }
+                pads[i] = f64::INFINITY;
+            }
+        }
+        let (enter, exit) = within_root(start.p, inv, pads, (start.enter, start.exit));
+        if enter > exit {
+            return None;
+        }
+        let step = lesser(greater(0.0, enter), exit);
+        if reach < 8.0 || step == 0.0 {
+            break;
+        }
+        tau.grow(step);
+        for (x, &g) in point.iter_mut().zip(&g) {
+            *x = &*x + &Expansion::from(g).scale(step);
+        }
+    }
+    Some(start)
+}
 
 impl Setup {
     /// One that is yet to be aimed.
@@ -139,21 +224,25 @@ impl Setup {
             (f64::from(ray.origin[1]) - corner.y) * scene.scale,
             (f64::from(ray.origin[2]) - corner.z) * scene.scale,
         ];
-        let pad = PAD * (greater(greater(p[0].abs(), p[1].abs()), p[2].abs()) + 2.0);
         let mut inv = [0.0; 3];
         for i in 0..3 {
             let component = if g[i].abs() < LEAST_COMPONENT { LEAST_COMPONENT.copysign(g[i]) } else { g[i] };
             inv[i] = 1.0 / component;
         }
-
         // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
-        let mut enter = f64::from(ray.tmin.next_down()) * scale;
-        let mut exit = f64::from(ray.tmax.next_up()) * scale;
-        for i in 0..3 {
-            let (a, b) = ((-pad - p[i]) * inv[i], (1.0 + pad - p[i]) * inv[i]);
-            enter = greater(lesser(a, b), enter);
-            exit = lesser(greater(a, b), exit);
+        let enter = f64::from(ray.tmin.next_down()) * scale;
+        let exit = f64::from(ray.tmax.next_up()) * scale;
+        let distance = largest(p);
+        let mut start = Start { p, enter, exit, tau: 0.0 };
+        if distance > FAR {
+            match approach(ray, scene, g, inv, (enter, exit)) {
+                Some(near) => start = near,
+                None => return false,
+            }
         }
+        let p = start.p;
+        let pad = PAD * (largest(p) + 2.0);
+        let (enter, exit) = within_root(p, inv, [pad; 3], (start.enter, start.exit));
         if enter > exit {
             return false;
         }
@@ -162,7 +251,7 @@ impl Setup {
         way.mask = u8::from(inv[0] < 0.0) << 2 | u8::from(inv[1] < 0.0) << 1 | u8::from(inv[2] < 0.0);
         way.near = ((enter - tau0) as f32).next_down();
         self.far = ((exit - tau0) as f32).next_up();
-        (self.scale, self.tau0, self.pad) = (scale, tau0, pad);
+        (self.scale, self.tau0, self.pad) = (scale, start.tau + tau0, PAD * (distance + 2.0));
         // Too far away for f64 to say anything.
         let blind = pad > PAD_MAX;
         for i in 0..3 {
