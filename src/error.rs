@@ -135,8 +135,41 @@ impl Error {
         move |source| Error::Io { file, doing, source }
     }
 
+    /// An I/O error on a file that was to be made under a temporary name, which would only confuse in the message.
+    pub fn create(file: impl AsRef<Path>) -> impl FnOnce(io::Error) -> Error {
+        let file = file.as_ref().to_owned();
+        move |error| {
+            let source = match error.raw_os_error() {
+                Some(code) => io::Error::from_raw_os_error(code),
+                None if error.kind() == io::ErrorKind::NotFound => {
+                    let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+                    let what = format!("there is no folder {}; make it first", folder.display());
+                    io::Error::new(io::ErrorKind::NotFound, what)
+                }
+                None => error.kind().into(),
+            };
+            Error::Io { file, doing: "create", source }
+        }
+    }
+
     /// A damaged octree file.
     pub fn damaged(file: impl AsRef<Path>, page: Option<u32>, what: impl Into<String>) -> Error {
         Error::Damaged { file: file.as_ref().to_owned(), page, what: what.into() }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missing_folder_is_named_and_the_temporary_name_is_not() {
+        let failed = tempfile::tempfile_in("/no/such/folder").unwrap_err();
+        let failed = [failed, tempfile::NamedTempFile::new_in("/no/such/folder").unwrap_err()];
+        for source in failed {
+            let error = Error::create("/no/such/folder/a.png")(io::Error::new(source.kind(), source));
+            let expected = "/no/such/folder/a.png: cannot create: there is no folder /no/such/folder; make it first";
+            assert_eq!((error.to_string(), error.kind()), (expected.to_owned(), Kind::Machine));
+        }
     }
 }

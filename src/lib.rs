@@ -21,3 +21,8 @@ pub mod trace;
 pub use cache::open_or_build;
 pub use error::{Diagnostic, Error, Kind, Result, Severity};
 pub use event::{Event, Monitor};
+
+// The README's example compiles.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -208,3 +208,44 @@ fn box_queries_find_what_touches() {
         }
     }
 }
+
+#[test]
+fn far_origins_test_few_triangles() {
+    let mesh = Mesh::cube(12);
+    let octree = mesh.octree(&BuildOptions::default());
+    let (tracer, linear) = (OctreeTracer::new(&octree), LinearTracer::new(&octree).unwrap());
+    let mut random = Random(77);
+    let mut rays = Vec::new();
+    for exponent in (10..126).step_by(4) {
+        let far = 2f32.powi(exponent);
+        for axis in 0..3 {
+            // Along an axis, beside it by amounts from nothing to what still meets the mesh, from either side.
+            for tilt in [0.0, 1e-45, 1e-30, 0.4 / far, -0.7 / far, 3.0 / far] {
+                for side in [1.0, -1.0] {
+                    let mut origin = [0; 3].map(|_| random.unit() * 0.9);
+                    let mut direction = [0.0; 3];
+                    origin[axis] = side * far;
+                    direction[axis] = -side;
+                    direction[(axis + 1) % 3] = tilt;
+                    rays.push(Ray::new(origin, direction));
+                    rays.push(Ray::new(origin, direction.map(|x| x * 4.0)).between(far / 8.0, far));
+                    rays.push(Ray::new(origin, direction.map(|x| -x)).between(-2.0 * far, 0.0));
+                }
+            }
+        }
+        // Exactly diagonal: the coordinates are multiples of far's last place, so the line passes the origin.
+        for signs in [[1.0, 1.0, 1.0], [1.0, -1.0, 1.0], [-1.0, 1.0, 0.5]] {
+            rays.push(Ray::new(signs.map(|s| s * far), signs.map(|s| -s)));
+        }
+    }
+    let mut expected = vec![Hit::MISS; rays.len()];
+    linear.closest_batch(&rays, &mut expected).unwrap();
+    assert!(expected.iter().filter(|hit| hit.is_hit()).count() * 3 > rays.len());
+    let mut hits = expected.clone();
+    let counters = tracer.closest_batch(&rays, &mut hits).unwrap();
+    for (ray, (hit, expected)) in rays.iter().zip(hits.iter().zip(&expected)) {
+        assert_eq!(bits(*hit), bits(*expected), "{ray:?}");
+    }
+    let all = octree.header().triangles;
+    assert!(counters.triangles < counters.rays * all / 6, "{counters:?} of {all} triangles");
+}

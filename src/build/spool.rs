@@ -68,7 +68,7 @@ const WRITE: &str = "write a temporary file in";
 
 /// A nameless file in `folder`; also the test whether temporary files can be made there.
 pub(super) fn temporary(folder: &Path) -> Result<File> {
-    tempfile::tempfile_in(folder).map_err(Error::io(folder, "create a temporary file in"))
+    tempfile::tempfile_in(folder).map_err(Error::io(folder, "create a temporary file in this folder"))
 }
 
 fn write(file: &mut File, at: u64, words: &[u32]) -> std::io::Result<()> {

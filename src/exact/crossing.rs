@@ -80,6 +80,7 @@ fn apart(p: [f64; 3], q: [f64; 3]) -> [f64; 3] {
 
 impl Line {
     /// Prepares a ray.
+    #[inline(always)]
     pub fn new(ray: &Ray) -> Line {
         Line { ray: *ray, o: wide(ray.origin), d: wide(ray.direction) }
     }
@@ -111,7 +112,7 @@ impl Line {
     }
 
     /// Where the line meets a triangle whose three determinants are known to agree in sign: only n.d = 0 can still make it a miss.
-    #[inline]
+    #[inline(always)]
     pub fn accepted(&self, triangle: &Triangle) -> Decision {
         let [a, b, c] = [wide(triangle.a.to_array()), wide(triangle.b.to_array()), wide(triangle.c.to_array())];
         let (mut num, mut num_permanent, mut den, mut den_permanent) = (0.0, 0.0, 0.0, 0.0);
@@ -130,14 +131,12 @@ impl Line {
         if den.abs() <= 2.0 * den_error {
             return self.accepted_exact(triangle);
         }
-        let num = if den < 0.0 { -num } else { num };
-        let (least, most) = (num - num_error, num + num_error);
-        let (small, large) = (den.abs() - den_error, den.abs() + den_error);
-        let lo = least / if least >= 0.0 { large } else { small };
-        let hi = most / if most >= 0.0 { small } else { large };
-        // Three roundings each, none of which can underflow; 2^-50 covers them.
-        const SLACK: f64 = 8.0 * U;
-        let depth = [lo - lo.abs() * SLACK, hi + hi.abs() * SLACK];
+        // |num / den - t| <= (num_error + |t'| den_error) / |den + an error| <= twice that over |den|; the rest of 2.25 covers the
+        // roundings of the error, and 4 U those of t' (two) and of the interval's ends (one). Nothing underflows here.
+        let inverse = 1.0 / den;
+        let t = num * inverse;
+        let error = 2.25 * (num_error + t.abs() * den_error) * inverse.abs() + 4.0 * U * t.abs();
+        let depth = [t - error, t + error];
         Decision { crossing: Some(Crossing { triangle: *triangle, depth }), exact: false }
     }
 
@@ -160,9 +159,12 @@ impl Line {
     }
 
     /// det(d, p - o, q - o) in f64, and a bound of its error.
-    #[inline]
+    ///
+    /// It is computed as det(d, p - o, q - p), the same number, whose terms are smaller by the ratio of edge to distance.
+    #[inline(always)]
     fn determinant(&self, p: [f32; 3], q: [f32; 3]) -> (f64, f64) {
-        let (p, q) = (apart(wide(p), self.o), apart(wide(q), self.o));
+        let (p, q) = (wide(p), wide(q));
+        let (p, q) = (apart(p, self.o), apart(q, p));
         let (mut value, mut permanent) = (0.0, 0.0);
         for (i, (j, k)) in OTHERS.into_iter().enumerate() {
             let (plus, minus) = (p[j] * q[k], p[k] * q[j]);
@@ -215,15 +217,17 @@ impl Line {
     }
 
     /// The weights V / n.d and W / n.d of a triangle's second and third corner, correctly rounded.
+    #[inline(always)]
     fn weights(&self, triangle: &Triangle) -> [f32; 2] {
         let [a, b, c] = triangle.vertices().map(|v| v.to_array());
         let (u, v, w) = (self.determinant(b, c), self.determinant(c, a), self.determinant(a, b));
         let den = u.0 + v.0 + w.0;
         let den_error = u.1 + v.1 + w.1 + 4.0 * U * (u.0.abs() + v.0.abs() + w.0.abs());
+        let inverse = 1.0 / den;
         let weight = |(num, num_error): (f64, f64), p, q| {
-            let quotient = num / den;
-            // First order: num_error / |den| + |quotient| den_error / |den| + a rounding; twice that where den_error < |den| / 2.
-            let error = 2.0 * (num_error + quotient.abs() * den_error) / den.abs() + 4.0 * U * quotient.abs();
+            let quotient = num * inverse;
+            // As in `accepted`.
+            let error = 2.25 * (num_error + quotient.abs() * den_error) * inverse.abs() + 4.0 * U * quotient.abs();
             let (lo, hi) = ((quotient - error) as f32, (quotient + error) as f32);
             // Adding +0 turns -0 into +0.
             if den.abs() > 2.0 * den_error && lo == hi { lo + 0.0 } else { self.weight_exact(triangle, p, q) }
@@ -241,6 +245,7 @@ impl Line {
 
 impl Crossing {
     /// The exact order of two crossings of one line by t alone.
+    #[inline(always)]
     pub fn cmp(&self, other: &Crossing, line: &Line) -> Ordering {
         if self.depth[1] < other.depth[0] {
             Ordering::Less
@@ -260,7 +265,7 @@ impl Crossing {
     }
 
     /// The correctly rounded t, if it lies in the closed interval `[tmin, tmax]` and is finite.
-    #[inline]
+    #[inline(always)]
     pub fn t_within(&self, line: &Line) -> Option<f32> {
         let (lo, hi) = (self.depth[0] as f32, self.depth[1] as f32);
         if hi < line.ray.tmin || lo > line.ray.tmax {
@@ -272,6 +277,7 @@ impl Crossing {
     }
 
     /// The weights of the second and the third corner, correctly rounded.
+    #[inline(always)]
     pub fn uv(&self, line: &Line) -> [f32; 2] {
         line.weights(&self.triangle)
     }

@@ -30,8 +30,11 @@ pub const LANES: usize = 16;
 
 const EPS: f32 = 1.0 / 16_777_216.0;
 
+/// The range of M in which the filter is trusted.
+const TRUSTED: std::ops::RangeInclusive<f32> = 1.0 / (1u32 << 30) as f32..=(1u64 << 60) as f32;
+
 /// A ray prepared for the filter.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub struct Shear {
     /// The axes that play x, y and z; z is the ray's major axis.
     pub axes: [usize; 3],
@@ -55,38 +58,40 @@ pub struct Lanes {
 
 impl Shear {
     /// Prepares a valid ray against triangles within `bounds`.
+    #[inline(always)]
     pub fn new(ray: &Ray, bounds: Aabb) -> Shear {
-        let d = ray.direction;
-        let mut z = if d[0].abs() > d[1].abs() { 0 } else { 1 };
-        if d[2].abs() > d[z].abs() {
-            z = 2;
-        }
+        let (d, o) = (ray.direction, ray.origin);
+        let z = match (d[0].abs() > d[1].abs(), d[2].abs() > d[0].abs(), d[2].abs() > d[1].abs()) {
+            (true, true, _) | (false, _, true) => 2,
+            (true, false, _) => 0,
+            (false, _, false) => 1,
+        };
         let axes = [(z + 1) % 3, (z + 2) % 3, z];
-        let origin = axes.map(|i| ray.origin[i]);
-        let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
         // f32 differences are rounded; the factor of 1 + 4 eps covers that.
-        let reach = |i: usize| (min[i] - ray.origin[i]).abs().max((max[i] - ray.origin[i]).abs());
-        let m = reach(0).max(reach(1)).max(reach(2)) * (1.0 + 4.0 * EPS);
+        let reach = |min: f32, max: f32, o: f32| greater((min - o).abs(), (max - o).abs());
+        let (min, max) = (bounds.min, bounds.max);
+        let [x, y, z] = [reach(min.x, max.x, o[0]), reach(min.y, max.y, o[1]), reach(min.z, max.z, o[2])];
+        let m = greater(greater(x, y), z) * (1.0 + 4.0 * EPS);
         let e = 6.01 * EPS * m;
-        let trusted = (2f32.powi(-30)..=2f32.powi(60)).contains(&m);
-        let constant = if trusted { 2.01 * e * e } else { f32::INFINITY };
-        Shear { axes, origin, sx: d[axes[0]] / d[z], sy: d[axes[1]] / d[z], linear: 5.4 * e, constant }
+        let constant = if TRUSTED.contains(&m) { 2.01 * e * e } else { f32::INFINITY };
+        let [x, y, z] = axes;
+        Shear { axes, origin: [o[x], o[y], o[z]], sx: d[x] / d[z], sy: d[y] / d[z], linear: 5.4 * e, constant }
     }
 
     /// The origin on `axes`.
-    #[inline]
+    #[inline(always)]
     pub fn origin(&self) -> [f32; 3] {
         self.origin
     }
 
     /// How far x and y move with z: sx, sy.
-    #[inline]
+    #[inline(always)]
     pub fn slopes(&self) -> [f32; 2] {
         [self.sx, self.sy]
     }
 
     /// The bound of an edge function: this times m, plus this.
-    #[inline]
+    #[inline(always)]
     pub fn bound(&self) -> [f32; 2] {
         [self.linear, self.constant]
     }
@@ -95,7 +100,7 @@ impl Shear {
     ///
     /// `x`, `y`, `z` are the vertices' coordinates on `axes[0]`, `axes[1]`, `axes[2]`; entries that no triangle names may hold
     /// anything. `corners[k][j]` is the vertex number of corner k of triangle j, taken modulo N.
-    #[inline]
+    #[inline(always)]
     pub fn classify<const N: usize>(
         &self,
         [x, y, z]: [&[f32; N]; 3],
@@ -128,12 +133,12 @@ impl Shear {
     }
 }
 
-#[inline]
+#[inline(always)]
 fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
 
-#[inline]
+#[inline(always)]
 fn lesser(a: f32, b: f32) -> f32 {
     if a < b { a } else { b }
 }

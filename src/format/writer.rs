@@ -58,7 +58,7 @@ impl OctWriter {
         builder.prefix(".octrace-").suffix(".part");
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)); // less the umask, as for any new file
-        let file = builder.tempfile_in(folder(&target)).map_err(Error::io(path, "create"))?;
+        let file = builder.tempfile_in(folder(&target)).map_err(Error::create(path))?;
         let file = BufWriter::with_capacity(BUFFER_BYTES, file);
         let mut writer = OctWriter { path: path.to_owned(), target, file, position: 0, records: Vec::new() };
         writer.write(&[0; HEADER_BYTES])?;

@@ -121,11 +121,14 @@ fn sanitize(text: &str) -> (String, Vec<usize>) {
 /// for a rest that makes no sense.
 fn clean(keyword: &str, rest: &str) -> Option<Option<String>> {
     let numbers = || -> Vec<f32> { rest.split_whitespace().map_while(|word| word.parse().ok()).collect() };
+    let follows = |n: usize| rest.split_whitespace().nth(n).is_some_and(|word| !word.starts_with('#'));
     Some(match keyword {
         "newmtl" => (!rest.is_empty()).then(|| rest.to_owned()),
         "Ka" | "Kd" | "Ks" => match numbers()[..] {
             [r, g, b, ..] => Some(format!("{r} {g} {b}")),
             // The specification: g and b, if absent, are r.
+            [_] if follows(1) => None,
+            [_, _] if follows(2) => None,
             [r, ..] => Some(format!("{r} {r} {r}")),
             [] => None,
         },
@@ -241,9 +244,9 @@ mod tests {
     #[test]
     fn what_makes_no_sense_is_a_warning() {
         let (found, warnings) = load_bytes(
-            b"newmtl a\nKd spectral x.rfl\nKs\nd -halo 0.5\nillum 999\nmap_Kd\nNs 5\nnewmtl\nKd 1 1 1\nnewmtl b\xe9\nKd 1\n",
+            b"newmtl a\nKd 1 x 0\nKd spectral x.rfl\nKs\nd -halo 0.5\nillum 999\nmap_Kd\nNs 5\nnewmtl\nKd 1 1 1\nnewmtl b\xe9\nKd 1\n",
         );
-        assert_eq!(warnings, "DIR/a.mtl: lines that make no sense are ignored: 2, 3, 4, 5, 6, 8\n");
+        assert_eq!(warnings, "DIR/a.mtl: lines that make no sense are ignored: 2, 3, 4, 5, 6, 7, 9\n");
         let names: Vec<&str> = found.iter().map(|material| &material.name[..]).collect();
         assert_eq!(names, ["a", "bé"]);
         assert_eq!((found[0].ns, found[0].kd, found[1].kd), (Some(5.0), None, Some([1.0; 3])));

@@ -69,9 +69,9 @@ pub fn save(film: &Film, path: &Path, tonemap: ToneMap) -> Result<()> {
     builder.prefix(".octrace-").suffix(".tmp");
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).map_err(Error::io(path, "create"))?;
+    let mut file = builder.tempfile_in(folder).map_err(Error::create(path))?;
     file.write_all(&bytes).map_err(Error::io(path, "write"))?;
-    file.persist(&real).map_err(|e| e.error).map_err(Error::io(path, "create"))?;
+    file.persist(&real).map_err(|e| e.error).map_err(Error::create(path))?;
     Ok(())
 }
 

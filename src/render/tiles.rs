@@ -199,7 +199,7 @@ impl<'w> Job<'w> {
         let row = self.rows - 1 - y;
         let mut sum = DVec3::ZERO;
         for s in 0..self.k * self.k {
-            let [u, v] = sampling::position(x, row, s, self.k);
+            let [u, v] = sampling::position(s, self.k);
             let ray = self.eye.ray(f64::from(x) + u, f64::from(row) + v);
             sum += self.world.color(ray, scratch)?;
         }

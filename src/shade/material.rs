@@ -56,13 +56,11 @@ impl Surface {
     ///
     /// What the record does not give stays the scene's. `illum` 3 and higher mirrors with Ks, below it does not mirror.
     /// `map_Kd` multiplies Kd; where Kd is not given or black it is white, since exporters that write a map often leave
-    /// Kd empty. Where Ka is not given the map colours the ambient term as well.
+    /// Kd empty. The map colours the ambient term as well, and a gray Ka is a share of the diffuse colour: exporters
+    /// write `Ka 1 1 1` for whatever they export, and taken for a colour it would cover everything with a gray haze.
     pub fn overlaid(mut self, record: &MaterialRecord, texture: Option<&Texture>, uv: Option<[f64; 2]>) -> Surface {
         let has = |bit| record.given & bit != 0;
         let color = |c: [f32; 3]| DVec3::from_array(c.map(f64::from));
-        if has(given::KA) {
-            self.ambient = color(record.ka);
-        }
         if has(given::KD) {
             self.diffuse = color(record.kd);
         }
@@ -76,14 +74,18 @@ impl Surface {
             self.reflect = if record.illum >= 3 { self.specular } else { DVec3::ZERO };
             self.transmit = 0.0;
         }
-        if let (Some(texture), Some([u, v])) = (texture, uv) {
-            let texel = texture.at(u, v);
-            let base = if has(given::KD) && self.diffuse != DVec3::ZERO { self.diffuse } else { DVec3::ONE };
-            self.diffuse = base * texel;
-            if !has(given::KA) {
-                self.ambient *= texel;
-            }
+        let texel = texture.zip(uv).map(|(texture, [u, v])| texture.at(u, v));
+        if texel.is_some() && (!has(given::KD) || self.diffuse == DVec3::ZERO) {
+            self.diffuse = DVec3::ONE;
         }
+        if has(given::KA) {
+            let ka = color(record.ka);
+            let gray = ka == DVec3::splat(ka.x);
+            self.ambient = if gray { ka * self.diffuse } else { ka };
+        }
+        let texel = texel.unwrap_or(DVec3::ONE);
+        self.diffuse *= texel;
+        self.ambient *= texel;
         self
     }
 }
@@ -102,5 +104,20 @@ mod tests {
         assert_eq!(plain.overlaid(&ks, None, None).reflect, DVec3::new(0.5, 1.0, 0.0));
         let dull = MaterialRecord { illum: 2, ..ks };
         assert_eq!(plain.overlaid(&dull, None, None).reflect, DVec3::ZERO);
+    }
+
+    #[test]
+    fn a_gray_ka_is_a_share_of_the_diffuse_colour() {
+        let plain = Surface::from(&Material::default());
+        let black =
+            MaterialRecord { ka: [1.0; 3], kd: [0.0, 0.125, 0.0], given: given::KA | given::KD, ..Default::default() };
+        assert_eq!(plain.overlaid(&black, None, None).ambient, DVec3::new(0.0, 0.125, 0.0));
+        let red = MaterialRecord { ka: [0.5, 0.0, 0.0], ..black };
+        assert_eq!(plain.overlaid(&red, None, None).ambient, DVec3::new(0.5, 0.0, 0.0));
+        // The map colours both terms.
+        let map = Texture::new(1, 1, vec![[0, 255, 0]], crate::scene::ToneMap::None);
+        let white = MaterialRecord { kd: [1.0; 3], ka: [0.5; 3], ..black };
+        let s = plain.overlaid(&white, Some(&map), Some([0.5, 0.5]));
+        assert_eq!((s.diffuse, s.ambient), (DVec3::Y, DVec3::new(0.0, 0.5, 0.0)));
     }
 }

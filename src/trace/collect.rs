@@ -62,10 +62,19 @@ impl Closest {
     }
 
     /// The answer.
-    pub fn finish(self, line: &Line) -> Option<Found> {
-        let Best { crossing, t, face, page, reference } = self.best?;
-        let [u, v] = crossing.uv(line);
-        Some(Found { hit: Hit { t, face, u, v }, triangle: crossing.triangle, page, reference })
+    #[inline]
+    pub fn found(&self, line: &Line) -> Option<Found> {
+        let Best { crossing, page, reference, .. } = self.best.as_ref()?;
+        Some(Found { hit: self.hit(line), triangle: crossing.triangle, page: *page, reference: *reference })
+    }
+
+    /// The answer without where it is stored.
+    #[inline]
+    pub fn hit(&self, line: &Line) -> Hit {
+        self.best.as_ref().map_or(Hit::MISS, |best| {
+            let [u, v] = best.crossing.uv(line);
+            Hit { t: best.t, face: best.face, u, v }
+        })
     }
 }
 
@@ -75,7 +84,7 @@ fn order(line: &Line, a: (&Crossing, FaceId), b: (&Crossing, FaceId)) -> Orderin
 }
 
 impl Collector for Closest {
-    #[inline]
+    #[inline(always)]
     fn offer(&mut self, line: &Line, crossing: Crossing, place: &impl Place) -> Next {
         if crossing.depth[0] > self.reach() {
             return Next::On;
@@ -86,19 +95,19 @@ impl Collector for Closest {
             return Next::On;
         }
         let this = (&crossing, face);
-        if self.best.is_some_and(|best| order(line, this, (&best.crossing, best.face)) != Ordering::Less) {
+        if self.best.as_ref().is_some_and(|best| order(line, this, (&best.crossing, best.face)) != Ordering::Less) {
             return Next::On;
         }
-        if self.after.is_some_and(|(last, id)| order(line, this, (&last, id)) != Ordering::Greater) {
+        if self.after.as_ref().is_some_and(|(last, id)| order(line, this, (last, *id)) != Ordering::Greater) {
             return Next::On;
         }
         self.best = Some(Best { crossing, t, face, page: place.page(), reference: place.reference() });
         Next::Nearer
     }
 
-    #[inline]
+    #[inline(always)]
     fn reach(&self) -> f64 {
-        self.best.map_or(f64::INFINITY, |best| best.crossing.depth[1])
+        self.best.as_ref().map_or(f64::INFINITY, |best| best.crossing.depth[1])
     }
 }
 
@@ -115,7 +124,7 @@ impl Any {
 }
 
 impl Collector for Any {
-    #[inline]
+    #[inline(always)]
     fn offer(&mut self, line: &Line, crossing: Crossing, place: &impl Place) -> Next {
         if crossing.t_within(line).is_none() {
             return Next::On;
@@ -128,6 +137,7 @@ impl Collector for Any {
         Next::Done
     }
 
+    #[inline(always)]
     fn reach(&self) -> f64 {
         f64::INFINITY
     }

@@ -77,8 +77,11 @@ pub trait Tracer: Send + Sync {
     /// # Panics
     /// If the slices differ in length.
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
-        batch(rays, hits, |ray, counters| {
-            Ok(self.closest_counted(ray, Skip::NONE, counters)?.map_or(Hit::MISS, |found| found.hit))
+        batch(rays, hits, |rays, hits, counters| {
+            for (ray, hit) in rays.iter().zip(hits) {
+                *hit = self.closest_counted(ray, Skip::NONE, counters)?.map_or(Hit::MISS, |found| found.hit);
+            }
+            Ok(())
         })
     }
 
@@ -87,7 +90,12 @@ pub trait Tracer: Send + Sync {
     /// # Panics
     /// If the slices differ in length.
     fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
-        batch(rays, blocked, |ray, counters| self.any_counted(ray, Skip::NONE, counters))
+        batch(rays, blocked, |rays, blocked, counters| {
+            for (ray, blocked) in rays.iter().zip(blocked) {
+                *blocked = self.any_counted(ray, Skip::NONE, counters)?;
+            }
+            Ok(())
+        })
     }
 }
 
@@ -131,16 +139,14 @@ impl<T: Tracer + ?Sized> Iterator for AllHits<'_, T> {
 fn batch<A: Send>(
     rays: &[Ray],
     answers: &mut [A],
-    answer: impl Fn(&Ray, &mut Counters) -> Result<A> + Sync,
+    answer: impl Fn(&[Ray], &mut [A], &mut Counters) -> Result<()> + Sync,
 ) -> Result<Counters> {
     assert_eq!(rays.len(), answers.len(), "one answer a ray");
     rays.par_chunks(BATCH)
         .zip(answers.par_chunks_mut(BATCH))
         .map(|(rays, answers)| {
             let mut counters = Counters::default();
-            for (ray, slot) in rays.iter().zip(answers) {
-                *slot = answer(ray, &mut counters)?;
-            }
+            answer(rays, answers, &mut counters)?;
             Ok(counters)
         })
         .try_reduce(Counters::default, |a, b| Ok(a + b))

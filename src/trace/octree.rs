@@ -4,8 +4,8 @@
 //! walk(node, t0, dt):
 //!     touched = slots whose padded slabs overlap [near, best]          (arch/: one step for all eight)
 //!     for i in 0..8:  slot = i XOR a                                   (Revelles et al. 2000: near to far)
-//!         skip it if it is entered after the best hit
-//!         leaf:  f32 filter, exact test of what is left, offer each hit
+//!         leaf:  f32 filter, exact test of what is left, offer each hit; a nearer one takes what is entered after it
+//!                off `touched`, here at once and on the levels above when the walk comes back to them
 //!         inner: walk(child, t0 + low * dt, dt * shrink)
 //!         brick: walk(root of its page, parameters of the brick's own frame)
 //! ```
@@ -21,20 +21,18 @@ use bytemuck::Zeroable;
 
 use super::arch::{Isa, Job, Kernel, Planes};
 use super::collect::{Any, Closest, Collector, Next, Place};
-use super::setup::Setup;
-use super::{Counters, Found, Tracer};
+use super::setup::{Scene, Setup};
+use super::{Counters, Found, Tracer, batch};
 use crate::error::Result;
 use crate::exact::{Decision, Lanes, Line};
-use crate::format::{DEPTH_MAX, Frame, Leaf, Node, PageId};
-use crate::geometry::{Aabb, FaceId, Ray, RootCube, Skip};
+use crate::format::{Brick, DEPTH_MAX, Frame, Leaf, Node, PageId};
+use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip};
 use crate::map::{Octree, Page};
 
 /// Answers rays by walking an octree file. `O` is `&Octree`, `Arc<Octree>`, or `Octree` itself.
 pub struct OctreeTracer<O> {
     octree: O,
-    root: RootCube,
-    bounds: Aabb,
-    depth: u32,
+    scene: Scene,
     isa: Isa,
 }
 
@@ -42,8 +40,8 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     /// A tracer over an opened file.
     pub fn new(octree: O) -> OctreeTracer<O> {
         let file = octree.borrow();
-        let (root, bounds, depth) = (file.root(), file.bounds(), file.header().depth);
-        OctreeTracer { octree, root, bounds, depth, isa: Isa::best() }
+        let scene = Scene::new(file.root(), file.bounds(), file.header().depth);
+        OctreeTracer { octree, scene, isa: Isa::best() }
     }
 
     /// The same with a given instruction set; the answers are the same, bit for bit.
@@ -61,47 +59,119 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         self.octree.borrow()
     }
 
-    /// Walks a ray with a collector; what `finish` makes of it, or `None` if the ray is invalid or misses the root.
-    #[inline]
-    fn walk<C: Collector, R>(
-        &self,
-        ray: &Ray,
-        counters: &mut Counters,
-        begin: impl FnOnce(&Line) -> C,
-        finish: impl FnOnce(C, &Line) -> Option<R>,
-    ) -> Result<Option<R>> {
-        counters.rays += 1;
-        if !ray.is_valid() {
-            return Ok(None);
-        }
-        let Some(setup) = Setup::new(ray, self.root, self.bounds, self.depth) else { return Ok(None) };
-        let mut collector = begin(&setup.line);
+    /// Answers rays one by one, on this thread; adds the work done to `counters`.
+    fn ask<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()> {
         let octree = self.octree();
         STACK.with_borrow_mut(|stack| {
-            let walk = Walk { octree, setup: &setup, far: setup.far, stack, counters };
-            self.isa.run(OneRay { walk, collector: &mut collector })
+            let walk = Walk { octree, unit: octree.leaf_unit().bytes(), stack, counters };
+            self.isa.run(Rays { ask, rays, answers, scene: &self.scene, walk })
         })?;
-        octree.fault()?;
-        Ok(finish(collector, &setup.line))
+        octree.fault()
+    }
+
+    /// Answers one ray.
+    fn ask_one<A: Ask>(&self, ask: A, ray: &Ray, counters: &mut Counters) -> Result<A::Answer> {
+        let mut answer = [A::NOTHING];
+        self.ask(ask, std::slice::from_ref(ray), &mut answer, counters)?;
+        let [answer] = answer;
+        Ok(answer)
     }
 }
 
 impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
     fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
-        self.walk(ray, counters, |_| Closest::new(skip), Closest::finish)
+        self.ask_one(Least { skip, last: None }, ray, counters)
     }
 
     fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool> {
-        let found = self.walk(ray, counters, |_| Any::new(skip), |any, _| any.found.then_some(()))?;
-        Ok(found.is_some())
+        self.ask_one(Whether(skip), ray, counters)
     }
 
     fn next(&self, ray: &Ray, skip: Skip, last: &Found) -> Result<Option<Found>> {
-        self.walk(ray, &mut Counters::default(), |line| Closest::after(skip, line, last), Closest::finish)
+        self.ask_one(Least { skip, last: Some(last) }, ray, &mut Counters::default())
     }
 
     fn bounds(&self) -> Aabb {
-        self.bounds
+        self.scene.bounds
+    }
+
+    fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
+        batch(rays, hits, |rays, hits, counters| self.ask(LeastHit, rays, hits, counters))
+    }
+
+    fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
+        batch(rays, blocked, |rays, blocked, counters| self.ask(Whether(Skip::NONE), rays, blocked, counters))
+    }
+}
+
+/// A question that a walk answers about a ray.
+trait Ask {
+    /// What gathers the hits.
+    type Collector: Collector;
+    type Answer;
+    /// The answer where nothing is hit.
+    const NOTHING: Self::Answer;
+    fn begin(&self, line: &Line) -> Self::Collector;
+    fn end(collector: Self::Collector, line: &Line) -> Self::Answer;
+}
+
+/// The closest hit, after `last` if that is given.
+struct Least<'f> {
+    skip: Skip,
+    last: Option<&'f Found>,
+}
+
+impl Ask for Least<'_> {
+    type Collector = Closest;
+    type Answer = Option<Found>;
+    const NOTHING: Option<Found> = None;
+
+    #[inline(always)]
+    fn begin(&self, line: &Line) -> Closest {
+        self.last.map_or_else(|| Closest::new(self.skip), |last| Closest::after(self.skip, line, last))
+    }
+
+    #[inline(always)]
+    fn end(collector: Closest, line: &Line) -> Option<Found> {
+        collector.found(line)
+    }
+}
+
+/// The closest hit without where it is stored.
+struct LeastHit;
+
+impl Ask for LeastHit {
+    type Collector = Closest;
+    type Answer = Hit;
+    const NOTHING: Hit = Hit::MISS;
+
+    #[inline(always)]
+    fn begin(&self, _: &Line) -> Closest {
+        Closest::new(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn end(collector: Closest, line: &Line) -> Hit {
+        collector.hit(line)
+    }
+}
+
+/// Whether anything is hit.
+struct Whether(Skip);
+
+impl Ask for Whether {
+    type Collector = Any;
+    type Answer = bool;
+    const NOTHING: bool = false;
+
+    #[inline(always)]
+    fn begin(&self, _: &Line) -> Any {
+        Any::new(self.0)
+    }
+
+    #[inline(always)]
+    fn end(collector: Any, _: &Line) -> bool {
+        collector.found
     }
 }
 
@@ -144,88 +214,134 @@ struct View<'a> {
 
 struct Walk<'a, 'w> {
     octree: &'a Octree,
-    setup: &'w Setup,
-    /// The parameter beyond which nothing matters.
-    far: f32,
+    /// Bytes of a unit of leaf offsets.
+    unit: usize,
     stack: &'w mut [Level; LEVELS],
     counters: &'w mut Counters,
 }
 
-/// The walk of one ray, to be done with whichever kernel is there.
-struct OneRay<'a, 'w, C> {
+/// Rays and where their answers go, to be walked with whichever kernel is there.
+struct Rays<'a, 'w, A: Ask> {
+    ask: A,
+    rays: &'w [Ray],
+    answers: &'w mut [A::Answer],
+    scene: &'w Scene,
     walk: Walk<'a, 'w>,
-    collector: &'w mut C,
 }
 
-impl<C: Collector> Job for OneRay<'_, '_, C> {
+impl<A: Ask> Job for Rays<'_, '_, A> {
     type Output = Result<()>;
 
     #[inline(always)]
     fn run<K: Kernel>(mut self, kernel: K) -> Result<()> {
-        self.walk.run(kernel, self.collector)
+        self.walk.counters.rays += self.rays.len() as u64;
+        let mut setup = Setup::blank();
+        let mut start = None;
+        for (ray, answer) in self.rays.iter().zip(self.answers) {
+            if !(ray.is_valid() && setup.aim(ray, self.scene)) {
+                *answer = A::NOTHING;
+                continue;
+            }
+            let start = match &start {
+                Some(start) => start,
+                None => start.insert(self.walk.start()?),
+            };
+            let mut collector = self.ask.begin(&setup.line);
+            self.walk.run(kernel, start, &setup, &mut collector)?;
+            *answer = A::end(collector, &setup.line);
+        }
+        Ok(())
     }
 }
 
+/// Where every ray of a file begins.
+struct Start<'a> {
+    view: View<'a>,
+    frame: Frame,
+}
+
 impl<'a> Walk<'a, '_> {
+    /// The root of the top, or of the only page.
+    fn start(&self) -> Result<Start<'a>> {
+        match (self.octree.top_nodes().is_empty(), self.octree.bricks()) {
+            (false, _) => Ok(Start { view: self.view(TOP)?, frame: Frame::ROOT }),
+            (true, [brick, ..]) => Ok(Start { view: self.view(0)?, frame: brick_frame(brick) }),
+            (true, []) => Ok(Start { view: View { nodes: &[], number: TOP, page: None }, frame: Frame::ROOT }),
+        }
+    }
+
     #[inline(always)]
-    fn run<K: Kernel>(&mut self, kernel: K, collector: &mut impl Collector) -> Result<()> {
-        let mut view = match self.octree.top_nodes().is_empty() {
-            false => {
-                let view = self.view(TOP)?;
-                self.enter(kernel, &view, 0, 0, self.setup.planes(&Frame::ROOT));
-                view
-            }
-            true => match self.brick(0)? {
-                Some((view, planes)) => {
-                    self.enter(kernel, &view, 0, 0, planes);
-                    view
-                }
-                None => return Ok(()),
-            },
-        };
-        let mask = usize::from(self.setup.way.mask & 7);
-        let mut top = 0;
+    fn run<K: Kernel>(
+        &mut self,
+        kernel: K,
+        start: &Start<'a>,
+        setup: &Setup,
+        collector: &mut impl Collector,
+    ) -> Result<()> {
+        let mut view = start.view;
+        let mask = usize::from(setup.way.mask & 7);
+        // The parameter beyond which nothing matters.
+        let mut far = setup.far;
+        self.counters.bricks += u64::from(view.page.is_some());
+        // The node under way: its frame and the entries of its slots are `stack[top]`, the slots left to visit `left`.
+        let (mut top, mut index) = (0, 0);
+        let mut node = view.node(index);
+        self.stack[top].planes = setup.planes(&start.frame);
+        let mut left = self.touch(kernel, top, node, setup, far);
         loop {
-            let level = &mut self.stack[top];
-            if level.left == 0 {
+            while left == 0 {
                 if top == 0 {
                     return Ok(());
                 }
                 top -= 1;
-                if self.stack[top].page != view.number {
-                    view = self.view(self.stack[top].page)?;
+                let level = &self.stack[top];
+                left = level.left & kernel.within(&level.near, far);
+                index = level.node;
+                if left != 0 && level.page != view.number {
+                    view = self.view(level.page)?;
                 }
-                continue;
+                node = view.node(index);
             }
-            let i = (level.left.trailing_zeros() & 7) as usize;
-            level.left &= level.left - 1;
-            if level.near[i] > self.far {
-                continue;
-            }
-            let slot = i ^ mask;
-            // A level with nothing left is not needed again.
-            let below = (top + usize::from(level.left != 0)).min(LEVELS - 1);
-            let index = level.node;
-            let Some(node) = view.nodes.get(index as usize) else { continue };
-            let byte = node.slots[slot & 7];
+            let slot = (left.trailing_zeros() & 7) as usize ^ mask;
+            left &= left - 1;
+            let byte = node.slots[slot];
             if byte < EMPTY {
-                if node.first_leaf != 0 && self.leaf(kernel, &view, index, node, byte, collector) == Next::Done {
-                    return Ok(());
+                match self.leaf(kernel, &view, index, node, byte, setup, &mut far, collector) {
+                    Next::On => {}
+                    Next::Nearer => left &= kernel.within(&self.stack[top].near, far),
+                    Next::Done => return Ok(()),
                 }
-            } else if byte & 0xc0 == INNER && node.first_child != 0 {
-                let child = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
-                let planes = kernel.child(&level.planes, node, slot, &self.setup.way);
-                self.enter(kernel, &view, below, child, planes);
-                top = below;
-            } else if byte & 0xc0 == BRICK && view.page.is_none() {
-                let Some((inside, planes)) = self.brick(node.first_leaf.wrapping_add(u32::from(byte & 7)))? else {
-                    continue;
-                };
-                view = inside;
-                self.enter(kernel, &view, below, 0, planes);
-                top = below;
+                continue;
             }
+            // The child's level is the next one, or this one where it is not needed again.
+            let below = (top + usize::from(left != 0)).min(LEVELS - 1);
+            if byte & 0xc0 == INNER && node.first_child != 0 {
+                let planes = kernel.child(&self.stack[top].planes, node, slot, &setup.way);
+                self.keep(top, index, view.number, left);
+                index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
+                self.stack[below].planes = planes;
+            } else if byte & 0xc0 == BRICK && view.page.is_none() {
+                let number = node.first_leaf.wrapping_add(u32::from(byte & 7));
+                let Some(brick) = self.octree.bricks().get(number as usize) else { continue };
+                self.keep(top, index, view.number, left);
+                self.counters.bricks += 1;
+                view = self.view(number)?;
+                index = 0;
+                self.stack[below].planes = setup.planes(&brick_frame(brick));
+            } else {
+                continue;
+            }
+            top = below;
+            node = view.node(index);
+            left = self.touch(kernel, top, node, setup, far);
         }
+    }
+
+    /// Notes what is left of a level, to come back to it.
+    #[inline(always)]
+    fn keep(&mut self, top: usize, node: u32, page: u32, left: u32) {
+        let level = &mut self.stack[top];
+        (level.node, level.page, level.left) = (node, page, left);
     }
 
     /// The nodes of a page or of the top.
@@ -238,31 +354,19 @@ impl<'a> Walk<'a, '_> {
         Ok(View { nodes: page.nodes(), number, page: Some(page) })
     }
 
-    /// A brick's page and its own frame.
+    /// Tests the slots of the node whose frame stands in level `top`, where their entries go; the slots touched.
     #[inline(always)]
-    fn brick(&mut self, number: u32) -> Result<Option<(View<'a>, Planes)>> {
-        let Some(brick) = self.octree.bricks().get(number as usize) else { return Ok(None) };
-        self.counters.bricks += 1;
-        let frame = Frame { corner: brick.corner.map(f64::from), unit: brick.unit.map(f64::from) };
-        Ok(Some((self.view(number)?, self.setup.planes(&frame))))
-    }
-
-    /// Tests the slots of a node, which becomes a level of the stack.
-    #[inline(always)]
-    fn enter<K: Kernel>(&mut self, kernel: K, view: &View<'a>, level: usize, node: u32, planes: Planes) {
+    fn touch<K: Kernel>(&mut self, kernel: K, top: usize, node: &Node, setup: &Setup, far: f32) -> u32 {
         self.counters.nodes += 1;
-        let record = view.nodes.get(node as usize).unwrap_or(&Node::EMPTY);
-        let touched = kernel.touch(record, &planes, &self.setup.way, self.far);
-        let level = &mut self.stack[level];
+        let level = &mut self.stack[top];
+        let touched = kernel.touch(node, &level.planes, &setup.way, far);
         level.near = touched.near;
-        level.planes = planes;
-        level.node = node;
-        level.page = view.number;
-        level.left = u32::from(touched.slots);
+        touched.slots
     }
 
     /// Tests the triangles of the leaf that slot byte `units` of a node names, and offers the hits.
     #[inline(always)]
+    #[expect(clippy::too_many_arguments, reason = "the state of the walk, kept in registers")]
     fn leaf<K: Kernel>(
         &mut self,
         kernel: K,
@@ -270,40 +374,45 @@ impl<'a> Walk<'a, '_> {
         index: u32,
         node: &Node,
         units: u8,
+        setup: &Setup,
+        far: &mut f32,
         collector: &mut impl Collector,
     ) -> Next {
         let Some(page) = &view.page else { return Next::On };
-        let offset = 64
-            + 64 * index as usize
-            + 16 * node.first_leaf as usize
-            + self.octree.leaf_unit().bytes() * usize::from(units);
-        let leaf = page.leaf(offset);
+        if node.first_leaf == 0 {
+            return Next::On;
+        }
+        let leaf = page.leaf(64 + 64 * index as usize + 16 * node.first_leaf as usize + self.unit * usize::from(units));
         self.counters.leaves += 1;
         self.counters.triangles += leaf.len() as u64;
-        let lanes = kernel.classify(&leaf, &self.setup.shear);
+        let lanes = kernel.classify(&leaf, &setup.shear);
         if lanes.accept | lanes.doubt == 0 {
             return Next::On;
         }
-        self.settle(page, PageId(view.number), &leaf, lanes, collector)
+        self.settle(page, PageId(view.number), &leaf, lanes, setup, far, collector)
     }
 
     /// Decides what the filter left, exactly, and offers the hits.
-    #[inline(never)]
+    #[inline(always)]
+    #[expect(clippy::too_many_arguments, reason = "the state of the walk, kept in registers")]
     fn settle(
         &mut self,
         page: &Page<'a>,
         id: PageId,
         leaf: &Leaf<'a>,
         lanes: Lanes,
+        setup: &Setup,
+        far: &mut f32,
         collector: &mut impl Collector,
     ) -> Next {
         self.counters.doubts += u64::from(lanes.doubt.count_ones());
         let mut left = lanes.accept | lanes.doubt;
+        let mut next = Next::On;
         while left != 0 {
             let j = left.trailing_zeros();
             left &= left - 1;
             let triangle = leaf.triangle(j as usize);
-            let line = &self.setup.line;
+            let line = &setup.line;
             let doubted = lanes.doubt >> j & 1 != 0;
             let Decision { crossing, exact } = if doubted { line.meet(&triangle) } else { line.accepted(&triangle) };
             self.counters.exact += u64::from(exact);
@@ -311,12 +420,29 @@ impl<'a> Walk<'a, '_> {
             let place = Reference { page, id, reference: leaf.first().wrapping_add(j) };
             match collector.offer(line, crossing, &place) {
                 Next::On => {}
-                Next::Nearer => self.far = self.far.min(self.setup.reach(collector.reach())),
+                Next::Nearer => {
+                    *far = far.min(setup.reach(collector.reach()));
+                    next = Next::Nearer;
+                }
                 Next::Done => return Next::Done,
             }
         }
-        Next::On
+        next
     }
+}
+
+impl<'a> View<'a> {
+    /// A node; an empty one where there is none of that number.
+    #[inline(always)]
+    fn node(&self, index: u32) -> &'a Node {
+        self.nodes.get(index as usize).unwrap_or(&Node::EMPTY)
+    }
+}
+
+/// A brick's own frame.
+#[inline(always)]
+fn brick_frame(brick: &Brick) -> Frame {
+    Frame { corner: brick.corner.map(f64::from), unit: brick.unit.map(f64::from) }
 }
 
 /// A reference within a page.

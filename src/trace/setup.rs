@@ -26,15 +26,35 @@
 //! slab, or outside by less than that motion, near <= -2^100 (pad / 2) <= -2^52 and far >= 2^52, which bind nothing; outside by
 //! more than the slack, near or far lies beyond any parameter of the root and the slab is rejected.
 //!
-//! **Extremes.** From 2^40 root sizes on, f64 says too little: the walk then visits all boxes (`inv` = 0, infinite slack in effect) and only the
-//! exact triangle test decides. Slow, and right.
+//! **Far origins.** From 2^30 root sizes on, f64 places the root too badly along the ray. The start is then brought near the root in exact
+//! steps first ([`approach`]): each leaves 2^-45 of the distance, and the point that it ends at is exact before it is rounded.
+//! Only a ray whose steps do not get there visits all boxes (`inv` = 0, infinite slack in effect), and the exact triangle test decides.
 
 use super::arch::{Planes, Way};
-use crate::exact::{Line, Shear};
+use crate::exact::{Expansion, Line, Shear};
 use crate::format::Frame;
 use crate::geometry::{Aabb, Ray, RootCube};
 
-/// A ray ready to walk an octree.
+/// What all rays of a file share.
+#[derive(Clone, Debug)]
+pub(super) struct Scene {
+    /// Box around all triangles.
+    pub bounds: Aabb,
+    root: RootCube,
+    /// 1 / the root's side, a power of two.
+    scale: f64,
+    /// eps (L + 4).
+    rounding: f64,
+}
+
+impl Scene {
+    /// `depth` is the file's.
+    pub fn new(root: RootCube, bounds: Aabb, depth: u32) -> Scene {
+        Scene { bounds, root, scale: exp2(-root.log2_side), rounding: (f64::from(depth) + 4.0) / 16_777_216.0 }
+    }
+}
+
+/// A ray ready to walk an octree. Made once and aimed at each ray of a batch, as it is too large to hand around.
 #[derive(Clone, Debug)]
 pub(super) struct Setup {
     /// For the exact test.
@@ -55,83 +75,203 @@ pub(super) struct Setup {
     /// tau = t * scale.
     scale: f64,
     tau0: f64,
+    /// Error bound of a hit's parameter.
     pad: f64,
 }
 
+/// Where the walk's set-up starts from.
+struct Start {
+    /// The point at parameter `tau`, in root units.
+    p: [f64; 3],
+    /// The ray's interval relative to `tau`, rounded outward.
+    enter: f64,
+    exit: f64,
+    tau: f64,
+}
+
 /// 2^k for -1022 <= k <= 1023.
+#[inline(always)]
 fn exp2(k: i32) -> f64 {
     f64::from_bits(((k + 1023) as u64) << 52)
 }
 
 /// floor(log2(x)) of a normal, positive f64 (every positive f32 is one).
+#[inline(always)]
 fn log2_floor(x: f64) -> i32 {
     (x.to_bits() >> 52) as i32 - 1023
 }
 
+/// The larger; the second if either is NaN.
+#[inline(always)]
+fn greater(a: f64, b: f64) -> f64 {
+    if a > b { a } else { b }
+}
+
+/// The lesser; the second if either is NaN.
+#[inline(always)]
+fn lesser(a: f64, b: f64) -> f64 {
+    if a < b { a } else { b }
+}
+
 const LEAST_COMPONENT: f64 = 1.0 / (1u128 << 100) as f64;
+const PAD: f64 = 1.0 / (1u64 << 46) as f64;
+/// From this distance on, in root sizes, the start is brought nearer.
+const FAR: f64 = (1u64 << 30) as f64;
+/// From this pad on the walk visits all boxes.
+const PAD_MAX: f64 = 1.0 / 64.0;
 
-impl Setup {
-    /// Prepares a valid ray; `None` if it misses the root cube. `depth` is the file's.
-    pub fn new(ray: &Ray, root: RootCube, bounds: Aabb, depth: u32) -> Option<Setup> {
-        let d = ray.direction.map(f64::from);
-        let exponent = log2_floor(d[0].abs().max(d[1].abs()).max(d[2].abs()));
-        let g = d.map(|x| x * exp2(-exponent));
-        let scale = exp2(exponent - root.log2_side);
-        let p = root.to_root_units(ray.origin.into()).to_array();
-        let pad = 2f64.powi(-46) * (p[0].abs().max(p[1].abs()).max(p[2].abs()) + 2.0);
-        let inv = g.map(|x| if x.abs() < LEAST_COMPONENT { (1.0 / LEAST_COMPONENT).copysign(x) } else { 1.0 / x });
+/// The largest magnitude.
+#[inline(always)]
+fn largest(p: [f64; 3]) -> f64 {
+    greater(greater(p[0].abs(), p[1].abs()), p[2].abs())
+}
 
-        // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
-        let mut enter = f64::from(ray.tmin.next_down()) * scale;
-        let mut exit = f64::from(ray.tmax.next_up()) * scale;
+/// The part of an interval in which the ray is within the root's slabs, padded by so much on each axis.
+#[inline(always)]
+fn within_root(p: [f64; 3], inv: [f64; 3], pads: [f64; 3], (mut enter, mut exit): (f64, f64)) -> (f64, f64) {
+    for i in 0..3 {
+        let (a, b) = ((-pads[i] - p[i]) * inv[i], (1.0 + pads[i] - p[i]) * inv[i]);
+        enter = greater(lesser(a, b), enter);
+        exit = lesser(greater(a, b), exit);
+    }
+    (enter, exit)
+}
+
+/// Brings a start from far away near the root, in exact steps along the ray; `None` if the ray misses the root.
+///
+/// Every step is an f64, and tau and the point are kept as exact sums, so that nothing is lost. An axis is padded by the rounding of
+/// its own coordinate.
+#[cold]
+#[inline(never)]
+fn approach(ray: &Ray, scene: &Scene, g: [f64; 3], inv: [f64; 3], (first, last): (f64, f64)) -> Option<Start> {
+    const STEPS: usize = 12;
+    let corner = scene.root.corner.to_array();
+    let mut point: [Expansion; 3] = std::array::from_fn(|i| {
+        let mut x = Expansion::from(f64::from(ray.origin[i]));
+        x.grow(-corner[i]);
+        x.scale(scene.scale)
+    });
+    let mut tau = Expansion::default();
+    let mut start = Start { p: [0.0; 3], enter: first, exit: last, tau: 0.0 };
+    for _ in 0..STEPS {
+        start.p = std::array::from_fn(|i| point[i].estimate());
+        start.tau = tau.estimate();
+        // Relative to tau, rounded outward; an estimate is good to 2^-50.
+        let relative = |t: f64, outward: f64| {
+            let exact = (&Expansion::from(t) - &tau).estimate();
+            if t.is_infinite() { t } else { exact + outward * exact.abs() * (8.0 * f64::EPSILON) }
+        };
+        (start.enter, start.exit) = (relative(first, -1.0), relative(last, 1.0));
+        let reach = largest(start.p) + 2.0;
+        let mut pads = [0.0; 3];
         for i in 0..3 {
-            let (a, b) = ((-pad - p[i]) * inv[i], (1.0 + pad - p[i]) * inv[i]);
-            let (near, far) = if inv[i] < 0.0 { (b, a) } else { (a, b) };
-            enter = if near > enter { near } else { enter };
-            exit = if far < exit { far } else { exit };
+            pads[i] = PAD * (start.p[i].abs() + 2.0);
+            if g[i].abs() < LEAST_COMPONENT {
+                // No parameter: inside or outside, give or take how far the ray moves along the axis on its way.
+                pads[i] += 4.0 * g[i].abs() * reach;
+                if start.p[i] < -pads[i] || start.p[i] > 1.0 + pads[i] {
+                    return None;
+                }
+                pads[i] = f64::INFINITY;
+            }
         }
+        let (enter, exit) = within_root(start.p, inv, pads, (start.enter, start.exit));
         if enter > exit {
             return None;
         }
-        let tau0 = 0f64.clamp(enter, exit);
-        let mut setup = Setup {
-            line: Line::new(ray),
-            shear: Shear::new(ray, bounds),
-            way: Way {
-                least: [0.0; 4],
-                mask: (0..3).fold(0, |mask, i| mask << 1 | u8::from(inv[i] < 0.0)),
-                near: ((enter - tau0) as f32).next_down(),
-            },
-            origin: std::array::from_fn(|i| p[i] + tau0 * g[i]),
-            inv,
-            inv32: inv.map(|x| x as f32),
-            slack: [0.0; 3],
-            far: ((exit - tau0) as f32).next_up(),
-            scale,
-            tau0,
-            pad,
-        };
-        setup.widen(depth);
-        for i in 0..3 {
-            setup.way.least[i] = setup.inv32[i] * Frame::LEAST_UNIT as f32;
+        let step = lesser(greater(0.0, enter), exit);
+        if reach < 8.0 || step == 0.0 {
+            break;
         }
-        Some(setup)
+        tau.grow(step);
+        for (x, &g) in point.iter_mut().zip(&g) {
+            *x = &*x + &Expansion::from(g).scale(step);
+        }
+    }
+    Some(start)
+}
+
+impl Setup {
+    /// One that is yet to be aimed.
+    pub fn blank() -> Setup {
+        Setup {
+            line: Line::new(&Ray::new([0.0; 3], [0.0; 3])),
+            shear: Shear::default(),
+            way: Way::default(),
+            origin: [0.0; 3],
+            inv: [0.0; 3],
+            inv32: [0.0; 3],
+            slack: [0.0; 3],
+            far: 0.0,
+            scale: 0.0,
+            tau0: 0.0,
+            pad: 0.0,
+        }
     }
 
-    /// Computes the slack.
-    fn widen(&mut self, depth: u32) {
-        if self.pad > 2f64.powi(-6) {
-            (self.origin, self.inv, self.inv32, self.slack) = ([0.0; 3], [0.0; 3], [0.0; 3], [f32::MAX / 4.0; 3]);
-            return;
+    /// Prepares a valid ray; false if it misses the root cube, and then nothing here is to be used.
+    #[inline(always)]
+    pub fn aim(&mut self, ray: &Ray, scene: &Scene) -> bool {
+        let [dx, dy, dz] = [f64::from(ray.direction[0]), f64::from(ray.direction[1]), f64::from(ray.direction[2])];
+        let exponent = log2_floor(greater(greater(dx.abs(), dy.abs()), dz.abs()));
+        let shrink = exp2(-exponent);
+        let g = [dx * shrink, dy * shrink, dz * shrink];
+        let scale = exp2(exponent) * scene.scale;
+        let corner = scene.root.corner;
+        // Scaling by powers of two is exact.
+        let p = [
+            (f64::from(ray.origin[0]) - corner.x) * scene.scale,
+            (f64::from(ray.origin[1]) - corner.y) * scene.scale,
+            (f64::from(ray.origin[2]) - corner.z) * scene.scale,
+        ];
+        let mut inv = [0.0; 3];
+        for i in 0..3 {
+            let component = if g[i].abs() < LEAST_COMPONENT { LEAST_COMPONENT.copysign(g[i]) } else { g[i] };
+            inv[i] = 1.0 / component;
         }
-        let levels = f64::from(depth) + 4.0;
-        self.slack = std::array::from_fn(|i| {
-            let position = self.pad + levels * (self.origin[i].abs() + 3.0) / 16_777_216.0;
-            ((self.inv[i].abs() * position) as f32).next_up()
-        });
+        // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
+        let enter = f64::from(ray.tmin.next_down()) * scale;
+        let exit = f64::from(ray.tmax.next_up()) * scale;
+        let distance = largest(p);
+        let mut start = Start { p, enter, exit, tau: 0.0 };
+        if distance > FAR {
+            match approach(ray, scene, g, inv, (enter, exit)) {
+                Some(near) => start = near,
+                None => return false,
+            }
+        }
+        let p = start.p;
+        let pad = PAD * (largest(p) + 2.0);
+        let (enter, exit) = within_root(p, inv, [pad; 3], (start.enter, start.exit));
+        if enter > exit {
+            return false;
+        }
+        let tau0 = lesser(greater(0.0, enter), exit);
+        let way = &mut self.way;
+        way.mask = u8::from(inv[0] < 0.0) << 2 | u8::from(inv[1] < 0.0) << 1 | u8::from(inv[2] < 0.0);
+        way.near = ((enter - tau0) as f32).next_down();
+        self.far = ((exit - tau0) as f32).next_up();
+        (self.scale, self.tau0, self.pad) = (scale, start.tau + tau0, PAD * (distance + 2.0));
+        // Too far away for f64 to say anything.
+        let blind = pad > PAD_MAX;
+        for i in 0..3 {
+            let origin = p[i] + tau0 * g[i];
+            let position = pad + scene.rounding * (origin.abs() + 3.0);
+            let slack = ((inv[i].abs() * position) as f32).next_up();
+            let inv = if blind { 0.0 } else { inv[i] };
+            self.origin[i] = if blind { 0.0 } else { origin };
+            self.slack[i] = if blind { f32::MAX / 4.0 } else { slack };
+            self.inv[i] = inv;
+            self.inv32[i] = inv as f32;
+            self.way.least[i] = inv as f32 * Frame::LEAST_UNIT as f32;
+        }
+        self.line = Line::new(ray);
+        self.shear = Shear::new(ray, scene.bounds);
+        true
     }
 
     /// The parameters of a brick's or the root's frame: its corner's rounded once, then the slack taken off and added.
+    #[inline(always)]
     pub fn planes(&self, frame: &Frame) -> Planes {
         let mut planes = Planes { begin: [0.0; 4], end: [0.0; 4], dt: [0.0; 4] };
         for i in 0..3 {
@@ -144,6 +284,7 @@ impl Setup {
     }
 
     /// The parameter that no nearer node may pass, for a hit at most at `t`, rounded up.
+    #[inline(always)]
     pub fn reach(&self, t: f64) -> f32 {
         ((t * self.scale - self.tau0 + self.pad) as f32).next_up()
     }

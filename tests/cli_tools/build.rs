@@ -204,3 +204,57 @@ fn help_and_version() {
         assert_eq!(version, format!("{tool} {}\noctree file format 1\n", env!("CARGO_PKG_VERSION")));
     }
 }
+
+#[test]
+fn a_missing_folder_is_named_before_any_work() {
+    let lab = Lab::with_ball();
+    for (tool, args) in [
+        ("octbuild", &["ball.obj", "-o", "no/a.oct"][..]),
+        ("octrender", &["ball.oct", "-o", "no/a.png", "--size", "60000x60000"]),
+        ("octinfo", &["ball.oct", "--extract", "all", "-o", "no/a.obj"]),
+        ("octbuild", &["ball.obj", "-o", "a.oct", "--stats", "no/a.json"]),
+    ] {
+        let error = lab.fails(4, tool, args);
+        assert!(error.contains("cannot create: there is no folder no; make it first"), "{error}");
+    }
+}
+
+#[test]
+fn threads_are_counted_from_1_to_1024() {
+    let lab = Lab::with_ball();
+    for threads in ["0", "1025", "100000", "-1", "x"] {
+        let error = lab.fails(2, "octbuild", &["ball.obj", "-o", "a.oct", &format!("--threads={threads}")]);
+        assert!(!error.contains("non-zero type"), "{error}");
+    }
+}
+
+#[test]
+fn what_is_built_and_what_is_dropped_is_what_the_faces_make() {
+    let mut obj = String::from("v nan 0 0\n");
+    (0..60).for_each(|i| obj += &format!("v {} {} {}\n", i % 7, i / 7, i * i % 5));
+    let mut fans = 0;
+    for i in 0..400u64 {
+        // Corners, 2 to 8 of them; some repeated (no area), some the vertex that is not finite, some out of range.
+        let corners = 2 + i % 5;
+        let corner = |c: u64| match (i + c) % 41 {
+            _ if i % 9 == 0 => 5,
+            40 => 999,
+            39 => 1,
+            k => 2 + (k + i * c * c) % 60,
+        };
+        let face: Vec<String> = (0..corners + i % 3).map(|c| corner(c).to_string()).collect();
+        fans += (face.len() as u64).saturating_sub(2);
+        obj += &format!("f {}\n", face.join(" "));
+    }
+    let lab = Lab::new();
+    lab.write("a.obj", obj);
+    for split in ["sah", "octree", "strict"] {
+        lab.done("octbuild", &["a.obj", "-o", "a.oct", "--lenient", "--split", split, "--stats", "s.json", "-q"]);
+        let stats = lab.json("s.json");
+        let dropped = |reason: &str| stats["dropped"][reason].as_u64().unwrap();
+        let counts = ["degenerate", "non_finite", "bad_index"].map(dropped);
+        assert!(counts.iter().all(|&n| n > 0) && dropped("too_few_corners") > 0, "{stats}");
+        assert_eq!(stats["triangles"].as_u64().unwrap() + counts.iter().sum::<u64>(), fans, "{stats}");
+        assert_eq!(stats["source_triangles"], fans);
+    }
+}

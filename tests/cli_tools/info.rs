@@ -209,3 +209,33 @@ fn a_broken_pipe_is_no_error() {
     assert_eq!(output.status.code(), Some(0), "{}", told(&output));
     assert_eq!(told(&output), "");
 }
+
+#[test]
+fn the_model_is_never_overwritten() {
+    let lab = Lab::with_ball();
+    let model = lab.read("ball.oct");
+    for output in ["ball.oct", "./ball.oct"] {
+        let error = lab.fails(2, "octinfo", &["ball.oct", "--extract", "all", "-o", output]);
+        assert!(error.contains("input and output are the same file"), "{error}");
+    }
+    // Nor by the materials, which go beside the OBJ.
+    std::fs::copy(lab.path("ball.oct"), lab.path("ball.mtl")).unwrap();
+    lab.fails(2, "octinfo", &["ball.mtl", "--extract", "all", "-o", "ball.obj"]);
+    let error = lab.fails(2, "octinfo", &["ball.oct", "--extract", "all", "-o", "part.mtl"]);
+    assert!(error.contains("name an .obj file"), "{error}");
+    assert!(lab.read("ball.oct") == model && lab.read("ball.mtl") == model);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn statistics_may_go_to_dev_stdout_even_if_that_is_a_file() {
+    let lab = Lab::new();
+    lab.write("a.obj", SQUARE);
+    lab.write("log.txt", "before\n");
+    let log = std::fs::OpenOptions::new().append(true).open(lab.path("log.txt")).unwrap();
+    let mut command = lab.command("octbuild", &["a.obj", "-o", "a.oct", "--stats", "/dev/stdout"]);
+    assert!(command.stdout(log).status().unwrap().success());
+    assert!(std::fs::symlink_metadata("/dev/stdout").unwrap().is_symlink());
+    let text = lab.text("log.txt");
+    assert!(text.starts_with("before\n{") && text.contains("\"triangles\": 2"), "{text}");
+}

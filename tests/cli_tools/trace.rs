@@ -101,7 +101,6 @@ fn wrong_usage_and_inputs_are_refused() {
         &["a.oct", "--repeat", "0"],
         &["a.oct", "--stats", "-"],
         &["a.oct", "--memory", "1G"],
-        &["a.oct", "--isa", "avx2"],
         &["missing.oct"],
         &["a.obj"],
     ] {
@@ -147,4 +146,18 @@ fn a_full_disk_is_the_machines_failure() {
     command.stdin(std::fs::File::open(lab.path("rays")).unwrap());
     command.stdout(std::fs::OpenOptions::new().write(true).open("/dev/full").unwrap());
     assert_eq!(command.stderr(Stdio::null()).status().unwrap().code(), Some(4));
+}
+
+#[test]
+fn every_instruction_set_gives_the_same_bytes() {
+    let lab = square();
+    let rays = grid(100);
+    let bytes: &[u8] = bytemuck::cast_slice(&rays);
+    let expected = trace(&lab, &["a.oct"], bytes);
+    for isa in octrace::trace::Isa::available() {
+        assert!(trace(&lab, &["a.oct", "--isa", isa.name()], bytes) == expected, "{isa:?}");
+    }
+    let output = lab.run_with("octtrace", &["a.oct", "--isa", "mmx"], bytes);
+    assert_eq!(output.status.code(), Some(2), "{}", told(&output));
+    assert!(told(&output).contains("mmx"));
 }

@@ -1,6 +1,5 @@
 //! Pieces of arguments: sizes, points, boxes, image sizes, and the flags that every tool has.
 
-use std::num::NonZeroUsize;
 use std::path::{Path, PathBuf};
 
 use glam::{DVec3, Vec3};
@@ -12,8 +11,8 @@ use octrace::geometry::Aabb;
 #[command(next_help_heading = "General")]
 pub struct Common {
     /// Threads to work with [default: as many as the machine has]
-    #[arg(long, value_name = "N")]
-    pub threads: Option<NonZeroUsize>,
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
     /// No progress and no summary; warnings and errors remain
     #[arg(short, long)]
     pub quiet: bool,
@@ -51,10 +50,10 @@ pub fn is_stdio(path: &Path) -> bool {
 }
 
 /// Makes rayon's global pool as large as asked for.
-pub fn use_threads(threads: Option<NonZeroUsize>) -> Result<(), Error> {
+pub fn use_threads(threads: Option<u16>) -> Result<(), Error> {
     let Some(threads) = threads else { return Ok(()) };
     rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.get())
+        .num_threads(threads.into())
         .build_global()
         .map_err(|e| Error::Option(format!("cannot start {threads} threads: {e}; ask for fewer")))
 }

@@ -7,9 +7,11 @@ use octrace::Error;
 
 /// A text or data file being written: under a temporary name beside its place, renamed when it is whole.
 ///
-/// Devices and pipes cannot be replaced and are written directly. Dropped before [`Whole::commit`], it leaves nothing.
+/// Devices and pipes cannot be replaced and are written directly; a link is followed. Dropped before
+/// [`Whole::commit`], it leaves nothing.
 pub struct Whole {
     path: PathBuf,
+    target: PathBuf,
     file: Target,
 }
 
@@ -21,19 +23,19 @@ enum Target {
 impl Whole {
     /// Begins a file that will be named `path`.
     pub fn create(path: &Path) -> Result<Whole, Error> {
+        let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         let file = if is_special(path) {
-            let file = std::fs::OpenOptions::new().write(true).open(path).map_err(Error::io(path, "write"))?;
+            let file = std::fs::OpenOptions::new().append(true).open(path).map_err(Error::io(path, "write"))?;
             Target::Direct(std::io::BufWriter::with_capacity(1 << 20, file))
         } else {
-            let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
             let mut builder = tempfile::Builder::new();
             builder.prefix(".octrace-").suffix(".tmp");
             #[cfg(unix)]
             builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-            let file = builder.tempfile_in(folder).map_err(|e| Error::io(path, "create")(without_path(e)))?;
+            let file = builder.tempfile_in(folder(&target)).map_err(Error::create(path))?;
             Target::Temporary(std::io::BufWriter::with_capacity(1 << 20, file))
         };
-        Ok(Whole { path: path.to_owned(), file })
+        Ok(Whole { path: path.to_owned(), target, file })
     }
 
     /// Flushes, syncs and gives the file its name.
@@ -44,7 +46,7 @@ impl Whole {
             Target::Temporary(file) => {
                 let file = file.into_inner().map_err(|e| failed("write")(e.into_error()))?;
                 file.as_file().sync_all().map_err(failed("sync"))?;
-                file.persist(&self.path).map_err(|e| failed("create")(e.error))?;
+                file.persist(&self.target).map_err(|e| Error::create(&self.path)(e.error))?;
                 Ok(())
             }
         }
@@ -91,13 +93,32 @@ pub fn print_bytes(bytes: &[u8]) -> Result<(), Error> {
 }
 
 /// Whether something is there that is neither a file nor a folder: a device or a pipe, which must not be replaced.
+///
+/// Nor must what stands in `/dev`: `/dev/stdout` is a link to whatever standard output is, which may be a file.
 pub fn is_special(path: &Path) -> bool {
-    std::fs::metadata(path).is_ok_and(|m| !m.is_file() && !m.is_dir())
+    let in_dev = path.parent().is_some_and(|p| p == Path::new("/dev") || p == Path::new("/dev/fd"));
+    std::fs::metadata(path).is_ok_and(|m| !m.is_dir() && (in_dev || !m.is_file()))
 }
 
-/// The temporary name would only confuse in a message.
-fn without_path(error: std::io::Error) -> std::io::Error {
-    error.raw_os_error().map_or_else(|| error.kind().into(), std::io::Error::from_raw_os_error)
+/// Refuses, before any work is done, a place where a finished file could not be put.
+pub fn check(path: &Path) -> Result<(), Error> {
+    if path.is_dir() {
+        return Err(Error::io(path, "create")(std::io::ErrorKind::IsADirectory.into()));
+    }
+    if !folder(path).is_dir() {
+        return Err(Error::create(path)(std::io::ErrorKind::NotFound.into()));
+    }
+    Ok(())
+}
+
+/// Whether two paths lead to the same file.
+pub fn same_file(a: &Path, b: &Path) -> bool {
+    matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// The folder that a file lies in.
+fn folder(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]
@@ -123,6 +144,19 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let error = write_whole(&folder.path().join("no/such/a.json"), b"").unwrap_err();
         assert_eq!(error.kind(), octrace::Kind::Machine);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn links_are_followed() {
+        let folder = tempfile::tempdir().unwrap();
+        let (path, link) = (folder.path().join("a.json"), folder.path().join("link.json"));
+        std::fs::write(&path, b"old").unwrap();
+        std::os::unix::fs::symlink(&path, &link).unwrap();
+        write_whole(&link, b"new").unwrap();
+        assert_eq!(std::fs::read(&path).unwrap(), b"new");
+        assert!(std::fs::symlink_metadata(&link).unwrap().is_symlink());
+        assert!(same_file(&path, &link) && !same_file(&path, Path::new("/dev/null")));
     }
 
     #[cfg(unix)]

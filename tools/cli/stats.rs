@@ -10,6 +10,30 @@ use super::output;
 /// The `schema` field of every statistics file.
 pub const SCHEMA: u32 = 1;
 
+/// What was left out of a mesh.
+#[derive(serde::Serialize)]
+pub struct Dropped {
+    /// Triangles of zero area.
+    pub degenerate: u64,
+    /// Triangles with a vertex that is not finite.
+    pub non_finite: u64,
+    /// Triangles of a face with a bad index.
+    pub bad_index: u64,
+    /// Faces with fewer than three corners.
+    pub too_few_corners: u64,
+}
+
+impl From<octrace::format::Dropped> for Dropped {
+    fn from(d: octrace::format::Dropped) -> Dropped {
+        Dropped {
+            degenerate: d.degenerate,
+            non_finite: d.non_finite,
+            bad_index: d.bad_index,
+            too_few_corners: d.too_few_corners,
+        }
+    }
+}
+
 /// Writes statistics as JSON: to standard output for `-`, else to a file that appears whole or not at all.
 pub fn write(path: &Path, stats: &impl serde::Serialize) -> Result<(), Error> {
     let mut text = serde_json::to_string_pretty(stats)

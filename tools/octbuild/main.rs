@@ -145,14 +145,11 @@ fn check_output(input: &Path, output: &Path) -> Result<()> {
             "an octree file cannot be written to standard output, since its header is written last; name a file".into(),
         ));
     }
-    if output.is_dir() {
-        return Err(Error::io(output, "create")(io::ErrorKind::IsADirectory.into()));
-    }
+    cli::output::check(output)?;
     if cli::output::is_special(output) {
         return Err(Error::io(output, "create")(io::Error::other("it is a device or a pipe; name a regular file")));
     }
-    let same = |a: &Path, b: &Path| matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b);
-    if same(input, output) {
+    if cli::output::same_file(input, output) {
         return Err(Error::Option(format!("{}: input and output are the same file", input.display())));
     }
     Ok(())

@@ -6,7 +6,7 @@ use indicatif::HumanCount;
 use octrace::build::BuildReport;
 use serde::Serialize;
 
-use crate::cli::stats;
+use crate::cli::stats::{self, Dropped};
 
 /// The statistics file.
 #[derive(Serialize)]
@@ -30,14 +30,6 @@ pub struct Stats {
     phases: Vec<Phase>,
 }
 
-#[derive(Serialize)]
-struct Dropped {
-    degenerate: u64,
-    non_finite: u64,
-    bad_index: u64,
-    too_few_corners: u64,
-}
-
 /// Faces of more than three corners, and how they were cut.
 #[derive(Serialize)]
 struct Polygons {
@@ -56,7 +48,7 @@ struct Phase {
 impl Stats {
     /// The statistics of a build that took `seconds`.
     pub fn new(report: &BuildReport, seconds: f64) -> Stats {
-        let (d, p) = (report.dropped, report.polygons);
+        let p = report.polygons;
         let phase = |p: &octrace::build::Phase| Phase { name: p.name, seconds: p.seconds, cpu_seconds: p.cpu_seconds };
         Stats {
             schema: stats::SCHEMA,
@@ -64,12 +56,7 @@ impl Stats {
             vertices: report.vertices,
             references: report.references,
             source_triangles: report.source_triangles,
-            dropped: Dropped {
-                degenerate: d.degenerate,
-                non_finite: d.non_finite,
-                bad_index: d.bad_index,
-                too_few_corners: d.too_few_corners,
-            },
+            dropped: report.dropped.into(),
             polygons: Polygons { cut: p.cut, clipped: p.clipped, fanned: p.fanned },
             pages: report.pages,
             nodes: report.nodes,

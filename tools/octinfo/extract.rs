@@ -15,7 +15,7 @@ use octrace::trace::{Stored, triangles_in_box};
 use octrace::{Error, Monitor, Result};
 
 use crate::cli::args::{Part, is_stdio};
-use crate::cli::output::Whole;
+use crate::cli::output::{Whole, same_file};
 
 /// Triangles gathered at a time.
 const WINDOW: usize = 4 << 20;
@@ -27,6 +27,20 @@ pub struct Extracted {
     pub triangles: u64,
     /// Vertices.
     pub vertices: u64,
+}
+
+/// Refuses, before any work is done, an output whose OBJ or MTL file would take the place of the model or of each other.
+pub fn check(model: &Path, output: &Path) -> Result<()> {
+    crate::cli::output::check(output)?;
+    let materials = output.with_extension("mtl");
+    if materials == output {
+        let what = "this is the name that the materials get; name an .obj file".into();
+        return Err(Error::Input { file: output.to_owned(), what });
+    }
+    match [output, &materials].into_iter().find(|path| same_file(model, path)) {
+        Some(path) => Err(Error::Option(format!("{}: input and output are the same file", path.display()))),
+        None => Ok(()),
+    }
 }
 
 /// Writes a part of the mesh to `output` (`-`: standard output), and its materials to an MTL file beside it.

@@ -67,6 +67,9 @@ fn tell(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if to_stdout && args.json {
         return Err(Error::Option("--json and -o - would both write to standard output; name a file".into()));
     }
+    if let Some(output) = args.output.as_deref().filter(|_| !to_stdout) {
+        extract::check(&args.model, output)?;
+    }
     let octree = Octree::open(&args.model)?;
     if args.verify {
         octree.verify(session.monitor())?;

@@ -7,7 +7,7 @@ use octrace::map::{self, Octree};
 use octrace::{Error, Monitor, Result};
 use serde::Serialize;
 
-use crate::cli::stats::SCHEMA;
+use crate::cli::stats::{Dropped, SCHEMA};
 
 /// Everything that is told.
 #[derive(Serialize)]
@@ -36,15 +36,6 @@ pub struct Report {
     options: Options,
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     verified: bool,
-}
-
-/// What was left out of the source.
-#[derive(Serialize)]
-struct Dropped {
-    degenerate: u64,
-    non_finite: u64,
-    bad_index: u64,
-    too_few_corners: u64,
 }
 
 /// Bytes by part; the sum is the file's length.
@@ -90,7 +81,6 @@ impl Report {
     /// Adds everything up, which reads every page.
     pub fn new(octree: &Octree, verified: bool, monitor: Monitor<'_>) -> Result<Report> {
         let h = octree.header();
-        let d = h.dropped;
         Ok(Report {
             schema: SCHEMA,
             file: octree.path().display().to_string(),
@@ -99,12 +89,7 @@ impl Report {
             vertices: h.vertices,
             references: h.references,
             source_triangles: h.source_triangles,
-            dropped: Dropped {
-                degenerate: d.degenerate,
-                non_finite: d.non_finite,
-                bad_index: d.bad_index,
-                too_few_corners: d.too_few_corners,
-            },
+            dropped: h.dropped.into(),
             nodes: h.nodes,
             leaves: h.leaves,
             pages: h.pages,

@@ -54,8 +54,9 @@ impl Place {
             }
             None => named_after(input),
         };
-        if path.is_dir() {
-            return Err(Error::io(&path, "create")(std::io::ErrorKind::IsADirectory.into()));
+        crate::cli::output::check(&path)?;
+        if crate::cli::output::same_file(&path, input) {
+            return Err(Error::Option(format!("{}: input and output are the same file", path.display())));
         }
         // Devices have no suffix that would mean anything.
         if !crate::cli::output::is_special(&path) {
@@ -121,6 +122,7 @@ mod tests {
             Place::choose(wish.map(Path::new), scene.map(Path::new), input.as_ref())
         };
         let file = |name: &str| Place::File(name.into());
+        assert!(place(Some("no/such/folder/a.png"), None, "c.txt").is_err_and(|e| e.kind() == octrace::Kind::Machine));
         assert_eq!(place(Some("a.exr"), Some("b.png"), "c.txt").unwrap(), file("a.exr"));
         assert_eq!(place(None, Some("b.png"), "c.txt").unwrap(), file("b.png"));
         assert_eq!(place(None, None, "x/c.txt").unwrap(), file("c.png"));

@@ -12,7 +12,7 @@ use std::time::Instant;
 use clap::Parser;
 use octrace::geometry::{Hit, Ray};
 use octrace::map::Octree;
-use octrace::trace::{Counters, OctreeTracer, Tracer};
+use octrace::trace::{Counters, Isa, OctreeTracer, Tracer};
 use octrace::{Error, Result};
 use serde::Serialize;
 
@@ -36,6 +36,9 @@ struct Args {
     /// Trace the whole set N times and write it once, to measure; holds all rays in memory
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
+    /// Instruction set to trace with: auto, scalar, avx2 or avx512; the hits are the same, bit for bit
+    #[arg(long, value_name = "SET", default_value = "auto", value_parser = isa)]
+    isa: Isa,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -82,7 +85,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if std::io::stdin().is_terminal() {
         return Err(Error::Option("standard input is a terminal; give rays: octtrace MODEL.oct < RAYS > HITS".into()));
     }
-    let tracer = OctreeTracer::new(&octree);
+    let tracer = OctreeTracer::new(&octree).with_isa(args.isa);
     let mut run = Run { tracer, session, work: Counters::default(), rays: 0, hits: 0 };
     let seconds = if args.any {
         run.all(args.repeat, false, Tracer::any_batch, |&blocked| blocked)?
@@ -92,6 +95,17 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     session.finish();
     args.stats.write(&run.stats(seconds))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// An instruction set by its name.
+fn isa(name: &str) -> std::result::Result<Isa, String> {
+    if name == "auto" {
+        return Ok(Isa::best());
+    }
+    Isa::named(name).ok_or_else(|| {
+        let names: Vec<_> = Isa::available().into_iter().map(Isa::name).collect();
+        format!("this processor has auto, {}", names.join(", "))
+    })
 }
 
 /// One run of the program.

@@ -71,24 +71,38 @@ pub(super) unsafe fn touch(node: &Node, planes: &Planes, way: &Way, far: f32) ->
         let mask = usize::from(way.mask & 7);
         let order = _mm_loadl_epi64(ORDER[mask].as_ptr().cast());
         let base: *const u8 = std::ptr::from_ref(node).cast();
+        let down = [24 * (mask >> 2 & 1), 24 * (mask >> 1 & 1), 24 * (mask & 1)];
         // Low planes at 8 * axis, high ones 24 further on; a downward ray enters by the high plane.
-        let mut near = _mm256_set1_ps(way.near);
-        let mut last = _mm256_set1_ps(far);
-        let mut axis = 0;
-        while axis < 3 {
-            let down = 24 * (mask >> (2 - axis) & 1);
-            let dt = _mm256_set1_ps(planes.dt[axis]);
-            let first = numbers(base.add(8 * axis + down), order);
-            let second = numbers(base.add(8 * axis + 24 - down), order);
-            // Where the first operand is NaN the second is the result.
-            near = _mm256_max_ps(_mm256_fmadd_ps(first, dt, _mm256_set1_ps(planes.begin[axis])), near);
-            last = _mm256_min_ps(_mm256_fmadd_ps(second, dt, _mm256_set1_ps(planes.end[axis])), last);
-            axis += 1;
-        }
-        let slots = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, last)) as u8;
+        let enter = |axis: usize| {
+            let plane = numbers(base.add(8 * axis + down[axis]), order);
+            _mm256_fmadd_ps(plane, _mm256_set1_ps(planes.dt[axis]), _mm256_set1_ps(planes.begin[axis]))
+        };
+        let leave = |axis: usize| {
+            let plane = numbers(base.add(8 * axis + 24 - down[axis]), order);
+            _mm256_fmadd_ps(plane, _mm256_set1_ps(planes.dt[axis]), _mm256_set1_ps(planes.end[axis]))
+        };
+        // Where an operand is NaN the second is the result: at worst a plane binds nothing, and the ray's own ends always do.
+        let near = _mm256_max_ps(enter(0), _mm256_set1_ps(way.near));
+        let near = _mm256_max_ps(_mm256_max_ps(enter(1), enter(2)), near);
+        let last = _mm256_min_ps(leave(0), _mm256_set1_ps(far));
+        let last = _mm256_min_ps(_mm256_min_ps(leave(1), leave(2)), last);
+        let slots = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, last)) as u32;
         let mut touched = Touched { near: [0.0; 8], slots };
         _mm256_store_ps(touched.near.as_mut_ptr(), near);
         touched
+    }
+}
+
+/// The entries not beyond `far`, shared with AVX-512.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+pub(super) unsafe fn within(near: &[f32; 8], far: f32) -> u32 {
+    // SAFETY: the caller vouches for the instructions; the array is eight floats.
+    unsafe {
+        let near = _mm256_loadu_ps(near.as_ptr());
+        _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, _mm256_set1_ps(far))) as u32
     }
 }
 
@@ -134,6 +148,12 @@ impl Kernel for Avx2 {
     fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched {
         // SAFETY: `self` is proof.
         unsafe { touch(node, planes, way, far) }
+    }
+
+    #[inline(always)]
+    fn within(self, near: &[f32; 8], far: f32) -> u32 {
+        // SAFETY: `self` is proof.
+        unsafe { within(near, far) }
     }
 
     #[inline(always)]

@@ -39,6 +39,12 @@ impl Kernel for Avx512 {
     }
 
     #[inline(always)]
+    fn within(self, near: &[f32; 8], far: f32) -> u32 {
+        // SAFETY: `self` is proof.
+        unsafe { avx2::within(near, far) }
+    }
+
+    #[inline(always)]
     fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes {
         // SAFETY: `self` is proof.
         unsafe { avx2::child(planes, node, slot, way) }
@@ -84,17 +90,18 @@ unsafe fn sheared(leaf: &Leaf<'_>, shear: &Shear, first: usize) -> [__m512; 2] {
     }
 }
 
-/// The vertex numbers of a word of 4-bit corners, in the low four bits of each lane.
+/// The vertex numbers of corner k of each triangle, in the low four bits of each lane; `head` is the record's first 32 bytes, twice.
 ///
 /// # Safety
 /// AVX-512 must be there.
 #[inline(always)]
-unsafe fn corner_index(word: u64) -> __m512i {
+unsafe fn corner_index(head: __m512i, k: i32) -> __m512i {
     // SAFETY: as the caller vouches.
     unsafe {
-        let (low, high) = (_mm256_set1_epi32(word as i32), _mm256_set1_epi32((word >> 32) as i32));
-        let both = _mm512_inserti64x4::<1>(_mm512_castsi256_si512(low), high);
-        _mm512_srlv_epi32(both, _mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 0, 4, 8, 12, 16, 20, 24, 28))
+        // Two words of four bytes a corner, from byte 8 on: the first for triangles 0 to 7.
+        let halves = _mm512_setr_epi32(2, 2, 2, 2, 2, 2, 2, 2, 3, 3, 3, 3, 3, 3, 3, 3);
+        let words = _mm512_permutexvar_epi32(_mm512_add_epi32(halves, _mm512_set1_epi32(2 * k)), head);
+        _mm512_srlv_epi32(words, _mm512_setr_epi32(0, 4, 8, 12, 16, 20, 24, 28, 0, 4, 8, 12, 16, 20, 24, 28))
     }
 }
 
@@ -107,9 +114,9 @@ unsafe fn nibbles(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
     // SAFETY: as the caller vouches.
     unsafe {
         let [x, y] = sheared(leaf, shear, 0);
-        let [a, b, c] = leaf.corner_words();
+        let head = _mm512_broadcast_i64x4(_mm256_loadu_si256(leaf.bytes().as_ptr().cast()));
         // The permutation looks at the low four bits of each lane only.
-        let (a, b, c) = (corner_index(a), corner_index(b), corner_index(c));
+        let (a, b, c) = (corner_index(head, 0), corner_index(head, 1), corner_index(head, 2));
         let corners = [
             [_mm512_permutexvar_ps(a, x), _mm512_permutexvar_ps(a, y)],
             [_mm512_permutexvar_ps(b, x), _mm512_permutexvar_ps(b, y)],

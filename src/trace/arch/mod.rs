@@ -31,7 +31,7 @@ pub(super) struct Planes {
 }
 
 /// The part of a prepared ray that the node test needs.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 #[repr(C, align(16))]
 pub(super) struct Way {
     /// 2^-32 in parameter units: dt of the smallest frame.
@@ -48,14 +48,16 @@ pub(super) struct Way {
 pub(super) struct Touched {
     /// Lower bound of the parameter at which each slot is entered.
     pub near: [f32; 8],
-    /// A bit an entry.
-    pub slots: u8,
+    /// A bit an entry; no others.
+    pub slots: u32,
 }
 
 /// The inner loops for one instruction set. A value of the type is proof that the processor has it.
 pub(super) trait Kernel: Copy {
     /// Which slots the ray touches between `way.near` and `far`. Empty slots are left to the caller.
     fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched;
+    /// A bit for each of the entries `near` that is not beyond `far`.
+    fn within(self, near: &[f32; 8], far: f32) -> u32;
     /// The parameters of the frame of the inner child in `slot` (0..8); FORMAT.md, "Frame".
     fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes;
     /// The filter's word on each triangle of a leaf.

@@ -29,9 +29,14 @@ impl Kernel for Scalar {
         }
         let mut slots = 0;
         for i in 0..8 {
-            slots |= u8::from(near[i] <= last[i]) << i;
+            slots |= u32::from(near[i] <= last[i]) << i;
         }
         Touched { near, slots }
+    }
+
+    #[inline(always)]
+    fn within(self, near: &[f32; 8], far: f32) -> u32 {
+        (0..8).fold(0, |bits, i| bits | u32::from(near[i] <= far) << i)
     }
 
     #[inline(always)]

@@ -35,8 +35,7 @@ proptest! {
     ) {
         let mut node = Node::EMPTY;
         for axis in 0..3 {
-            for slot in 0..8 {
-                let (a, b) = (boxes[axis][slot], boxes[axis + 3][slot]);
+            for (slot, (&a, &b)) in boxes[axis].iter().zip(&boxes[axis + 3]).enumerate() {
                 node.low[axis][slot] = a.min(b).min(254);
                 node.high[axis][slot] = a.max(b).max(a.min(b).min(254) + 1);
             }
