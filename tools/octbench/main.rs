@@ -23,7 +23,7 @@ use clap::{Parser, Subcommand};
 use octrace::{Error, Result};
 
 use accuracy::report::{self, FamilyReport, Report};
-use accuracy::{Plan, closed, mirror, replay};
+use accuracy::{Plan, closed, replay};
 use cli::args::{Common, StatsFile};
 use cli::output::{Whole, print};
 use cli::{Arguments, CHECK_FAILED, Session};
@@ -57,8 +57,6 @@ enum Command {
     Replay(Replay),
     /// Count crossings of a closed mesh, which must be even, and escapes from inside
     Closed(Closed),
-    /// Follow paths through a box of mirrors, which none may leave
-    Mirrors(Mirrors),
     /// Speed against error: this tracer and naive ones, on the same rays
     Tradeoff(tradeoff::Options),
     /// Write a closed planet as OBJ
@@ -111,21 +109,6 @@ struct Closed {
 }
 
 #[derive(clap::Args)]
-struct Mirrors {
-    /// Paths, over all boxes
-    #[arg(long, value_name = "N", default_value = "1e4", value_parser = count)]
-    paths: u64,
-    /// Bounces of each path
-    #[arg(long, value_name = "N", default_value = "1000", value_parser = count)]
-    bounces: u64,
-    /// Seed of everything
-    #[arg(long, value_name = "N", default_value_t = 1)]
-    seed: u64,
-    #[command(flatten)]
-    stats: StatsFile,
-}
-
-#[derive(clap::Args)]
 struct MeshOptions {
     /// About so many triangles (12 n^2)
     #[arg(short = 'n', long = "triangles", value_name = "N", default_value = "1e6", value_parser = count)]
@@ -163,7 +146,6 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Command::Accuracy(options) => run_accuracy(options, session),
         Command::Replay(options) => run_replay(options, session),
         Command::Closed(options) => run_closed(options, session),
-        Command::Mirrors(options) => run_mirrors(options, session),
         Command::Tradeoff(options) => tradeoff::run(options, session).map(|()| ExitCode::SUCCESS),
         Command::Mesh(options) => write_mesh(options, session).map(|()| ExitCode::SUCCESS),
     }
@@ -255,16 +237,6 @@ fn run_closed(options: &Closed, session: &Session<'_>) -> Result<ExitCode> {
         r.seconds
     ));
     Ok(verdict(r.wrong_parity + r.escapes))
-}
-
-fn run_mirrors(options: &Mirrors, session: &Session<'_>) -> Result<ExitCode> {
-    let r = mirror::run(options.paths, options.bounces, options.seed, session.monitor())?;
-    options.stats.write(&r)?;
-    session.say(format!(
-        "{} paths of {} bounces in {} boxes: {} escapes, {:.0} s",
-        r.paths, r.bounces, r.boxes, r.escapes, r.seconds
-    ));
-    Ok(verdict(r.escapes))
 }
 
 fn write_mesh(options: &MeshOptions, session: &Session<'_>) -> Result<()> {

@@ -213,7 +213,7 @@ mod tests {
             }
             assert!(edges.iter().all(|(&(a, b), &n)| n == 1 && edges.get(&(b, a)) == Some(&1)));
             assert_eq!(edges.keys().map(|e| e.0).collect::<HashSet<_>>().len(), mesh.points.len());
-            let [a, b, c] = mesh.corners(0).map(|p| glam::Vec3::from(p));
+            let [a, b, c] = mesh.corners(0).map(glam::Vec3::from);
             assert!((b - a).cross(c - a).dot(a) > 0.0);
         }
     }

@@ -6,7 +6,6 @@
 
 pub mod closed;
 pub mod judge;
-pub mod mirror;
 pub mod replay;
 pub mod report;
 
