@@ -10,7 +10,7 @@
 //!   infinity is a miss. The closest hit is the least by exact t, then by face number.
 //!
 //! Tiers: interval arithmetic in f64 ([`interval`]); where that cannot tell, expansions of f64 ([`expansion`]); on
-//! samples big rationals with a *number* for e ([`rational`]), by another route altogether.
+//! samples big rationals with a *number* for e (`rational.rs`, in tests), by another route altogether.
 
 mod expansion;
 mod interval;
