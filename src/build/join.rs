@@ -11,13 +11,13 @@ use rayon::prelude::*;
 
 use crate::error::Result;
 use crate::event::Monitor;
+use crate::exact::exactly_degenerate;
 use crate::format::Dropped;
 use crate::geometry::Aabb;
 use crate::mesh::{FaceBatch, NO_INDEX};
 
 use super::faces::{FaceView, corners_of, triangles_of};
 use super::options::Tuning;
-use super::plane::is_degenerate;
 use super::polygon::{self, Cut};
 use super::record::{Layout, Record};
 use super::report::Polygons;
@@ -196,7 +196,7 @@ impl<'a> Piece<'a> {
     /// One triangle of a face, by places in the face.
     fn triangle(&mut self, face: &Face<'_>, id: u32, places: [usize; 3]) {
         let corners = places.map(|i| self.points[i]);
-        if is_degenerate(corners) {
+        if exactly_degenerate(&corners.into()) {
             self.tally.dropped.degenerate += 1;
             self.tally.merged += u64::from(is_merged(corners, places.map(|i| face.corners[i])));
             return;

@@ -25,7 +25,6 @@ mod options;
 mod origin;
 mod phases;
 mod pipeline;
-mod plane;
 mod polygon;
 mod record;
 mod report;

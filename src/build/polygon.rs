@@ -9,7 +9,7 @@
 
 use std::cmp::Ordering;
 
-use super::plane::orientation;
+use crate::exact::orient2d;
 
 /// Most corners of a face that is cut by ear clipping.
 pub(super) const CLIP_LIMIT: usize = 4096;
@@ -76,7 +76,7 @@ fn is_convex(outline: &[[f32; 2]]) -> bool {
     // An outline that goes round once changes between rightward and leftward edges (by x, then y) exactly twice.
     let rightward = |i: usize| less(distinct[i % n], distinct[(i + 1) % n]);
     let changes = (0..n).filter(|&i| rightward(i) != rightward(i + 1)).count();
-    let left = (0..n).all(|i| orientation(distinct[i], distinct[(i + 1) % n], distinct[(i + 2) % n]).is_ge());
+    let left = (0..n).all(|i| orient2d(distinct[i], distinct[(i + 1) % n], distinct[(i + 2) % n]).is_ge());
     changes <= 2 && left
 }
 
@@ -169,7 +169,7 @@ impl<'a> Clipper<'a> {
 
     fn turn(&self, corner: u32) -> Ordering {
         let [a, b, c] = self.triangle(corner);
-        orientation(a, b, c)
+        orient2d(a, b, c)
     }
 
     /// Whether the corner turns left and the rest of the outline does not enter its triangle.
@@ -191,7 +191,7 @@ impl<'a> Clipper<'a> {
         if beyond(0) || beyond(1) {
             return false;
         }
-        let sides = [orientation(a, b, p), orientation(b, c, p), orientation(c, a, p)];
+        let sides = [orient2d(a, b, p), orient2d(b, c, p), orient2d(c, a, p)];
         if sides.contains(&Ordering::Less) {
             return false;
         }
@@ -200,7 +200,7 @@ impl<'a> Clipper<'a> {
         // these means that the outline runs through the inside.
         let on = sides.map(|side| side == Ordering::Equal);
         let inward = |n: [f32; 2]| {
-            [(a, b), (b, c), (c, a)].iter().zip(on).all(|(&(from, to), on)| !on || orientation(from, to, n).is_gt())
+            [(a, b), (b, c), (c, a)].iter().zip(on).all(|(&(from, to), on)| !on || orient2d(from, to, n).is_gt())
         };
         // A corner inside the new edge from c to a would leave an outline that touches itself there.
         on == [false, false, true] || neighbours.into_iter().any(inward)
@@ -358,7 +358,7 @@ mod tests {
             let outline = [[0, 0], [4, 0], [4, 4], [3, 4], [3, 1], [1, 1], [1, 4], [0, 4]];
             let place = |[s, t]: [i32; 2]| [0, 1, 2].map(|i| (far + s * u[i] + t * v[i]) as f32);
             let corners: Vec<[f32; 3]> = outline.into_iter().map(place).collect();
-            prop_assume!(!crate::build::plane::is_degenerate([corners[0], corners[1], corners[7]]));
+            prop_assume!(!crate::exact::exactly_degenerate(&[corners[0], corners[1], corners[7]].into()));
             let mut out = Vec::new();
             prop_assert_eq!(cut(&corners, &mut out), Cut::Clipped);
             let area = |t: [[i32; 2]; 3]| (t[1][0] - t[0][0]) * (t[2][1] - t[0][1]) - (t[1][1] - t[0][1]) * (t[2][0] - t[0][0]);

@@ -20,7 +20,7 @@ pub struct Expansion {
 }
 
 /// `a + b` as rounded sum and exact error (Knuth).
-fn two_sum(a: f64, b: f64) -> (f64, f64) {
+pub(super) fn two_sum(a: f64, b: f64) -> (f64, f64) {
     let sum = a + b;
     let b_part = sum - a;
     let a_part = sum - b_part;

@@ -15,6 +15,7 @@ mod crossing;
 mod expansion;
 mod filter;
 mod overlap;
+mod plane;
 mod predicates;
 mod quotient;
 
@@ -22,4 +23,5 @@ pub use crossing::{Crossing, Decision, Line};
 pub use expansion::Expansion;
 pub use filter::{LANES, Lanes, Shear};
 pub use overlap::touches_box;
-pub use predicates::{exactly_degenerate, orient2d, side};
+pub use plane::{exactly_degenerate, orient2d};
+pub use predicates::side;

@@ -43,25 +43,14 @@ pub(super) fn cross2d(a: [f32; 2], b: [f32; 2], c: [f32; 2], d: [f32; 2]) -> Ord
     (&(&exact(b, a, 0) * &exact(d, c, 1)) - &(&exact(b, a, 1) * &exact(d, c, 0))).sign()
 }
 
-/// Whether the plane points a, b, c turn left (`Greater`), right (`Less`), or lie on a line (`Equal`). Exact for finite
-/// coordinates; for points in space drop one axis.
-pub fn orient2d(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> Ordering {
-    cross2d(a, b, a, c)
-}
-
 /// A point without its coordinate `axis`: the other two in cyclic order.
 pub(super) fn drop_axis(p: [f32; 3], axis: usize) -> [f32; 2] {
     [p[(axis + 1) % 3], p[(axis + 2) % 3]]
 }
 
-/// Whether the triangle has exactly zero area: corners that coincide or lie on one line. No ray can hit it.
-pub fn exactly_degenerate(triangle: &Triangle) -> bool {
-    let [a, b, c] = triangle.vertices().map(|v| v.to_array());
-    (0..3).all(|axis| orient2d(drop_axis(a, axis), drop_axis(b, axis), drop_axis(c, axis)) == Ordering::Equal)
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::plane::{exactly_degenerate, orient2d};
     use super::*;
     use glam::Vec3;
 

@@ -26,3 +26,9 @@ impl Triangle {
         self.vertices().iter().all(|v| v.is_finite())
     }
 }
+
+impl From<[[f32; 3]; 3]> for Triangle {
+    fn from([a, b, c]: [[f32; 3]; 3]) -> Triangle {
+        Triangle { a: a.into(), b: b.into(), c: c.into() }
+    }
+}

@@ -6,11 +6,16 @@
 
 use std::cmp::Ordering;
 
+use super::expansion::two_sum;
+use super::predicates::drop_axis;
+use crate::geometry::Triangle;
+
 /// Bound on the rounding error of the determinant, as a multiple of its permanent: (3 + 16 e) e with e = 2^-53.
 const BOUND: f64 = (3.0 + 16.0 * (f64::EPSILON / 2.0)) * (f64::EPSILON / 2.0);
 
-/// The orientation of a, b, c, exactly: `Greater` where they turn left, `Equal` where they lie on one line.
-pub(super) fn orientation(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> Ordering {
+/// Whether the plane points a, b, c turn left (`Greater`), right (`Less`), or lie on a line (`Equal`). Exact for finite
+/// coordinates; for points in space drop one axis. Allocates nothing: the builder asks this of every triangle.
+pub fn orient2d(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> Ordering {
     let [[ax, ay], [bx, by], [cx, cy]] = [a, b, c].map(|p| p.map(f64::from));
     let (left, right) = ((bx - ax) * (cy - ay), (by - ay) * (cx - ax));
     let det = left - right;
@@ -20,12 +25,10 @@ pub(super) fn orientation(a: [f32; 2], b: [f32; 2], c: [f32; 2]) -> Ordering {
     sum_sign([bx * cy, -(bx * ay), -(ax * cy), -(by * cx), by * ax, ay * cx])
 }
 
-/// Whether the triangle has exactly zero area: its three projections have.
-pub(super) fn is_degenerate([a, b, c]: [[f32; 3]; 3]) -> bool {
-    [(0, 1), (1, 2), (2, 0)].into_iter().all(|(i, j)| {
-        let flat = |p: [f32; 3]| [p[i], p[j]];
-        orientation(flat(a), flat(b), flat(c)) == Ordering::Equal
-    })
+/// Whether the triangle has exactly zero area: corners that coincide or lie on one line. No ray can hit it.
+pub fn exactly_degenerate(triangle: &Triangle) -> bool {
+    let [a, b, c] = triangle.vertices().map(|v| v.to_array());
+    (0..3).all(|axis| orient2d(drop_axis(a, axis), drop_axis(b, axis), drop_axis(c, axis)) == Ordering::Equal)
 }
 
 /// The sign of an exact sum: terms are added one by one to a non-overlapping expansion (Shewchuk's Grow-Expansion), whose
@@ -44,19 +47,15 @@ fn sum_sign(terms: [f64; 6]) -> Ordering {
     largest.map_or(Ordering::Equal, |x| x.total_cmp(&0.0))
 }
 
-/// Knuth's two-sum: `a + b` rounded, and the rounding error.
-fn two_sum(a: f64, b: f64) -> (f64, f64) {
-    let sum = a + b;
-    let b_virtual = sum - a;
-    let a_virtual = sum - b_virtual;
-    (sum, (a - a_virtual) + (b - b_virtual))
-}
-
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
 
     use super::*;
+
+    fn is_degenerate(corners: [[f32; 3]; 3]) -> bool {
+        exactly_degenerate(&corners.into())
+    }
 
     /// The same with whole numbers, for coordinates that are multiples of 2^-20.
     fn whole(a: [i64; 2], b: [i64; 2], c: [i64; 2]) -> Ordering {
@@ -76,20 +75,20 @@ mod tests {
             }
             let scaled = [a, b, c].map(|p| p.map(|x| x as f32 / 1_048_576.0));
             prop_assume!([a, b, c].iter().flatten().all(|x| x.abs() < 1 << 24));
-            prop_assert_eq!(orientation(scaled[0], scaled[1], scaled[2]), whole(a, b, c));
+            prop_assert_eq!(orient2d(scaled[0], scaled[1], scaled[2]), whole(a, b, c));
         }
     }
 
     #[test]
     fn no_overflow_and_no_underflow() {
         let (big, tiny) = (f32::MAX, f32::from_bits(1));
-        assert_eq!(orientation([-big, -big], [big, -big], [big, big]), Ordering::Greater);
-        assert_eq!(orientation([0.0, 0.0], [tiny, 0.0], [0.0, tiny]), Ordering::Greater);
-        assert_eq!(orientation([0.0, 0.0], [tiny, tiny], [big, big]), Ordering::Equal);
-        assert_eq!(orientation([0.0, 0.0], [big, big], [tiny, tiny + tiny]), Ordering::Greater);
+        assert_eq!(orient2d([-big, -big], [big, -big], [big, big]), Ordering::Greater);
+        assert_eq!(orient2d([0.0, 0.0], [tiny, 0.0], [0.0, tiny]), Ordering::Greater);
+        assert_eq!(orient2d([0.0, 0.0], [tiny, tiny], [big, big]), Ordering::Equal);
+        assert_eq!(orient2d([0.0, 0.0], [big, big], [tiny, tiny + tiny]), Ordering::Greater);
         // The differences here are no exact f64 values.
-        assert_eq!(orientation([-big, -big], [tiny, 0.0], [big, big]), Ordering::Greater);
-        assert_eq!(orientation([-big, -big], [0.0, tiny], [big, big]), Ordering::Less);
+        assert_eq!(orient2d([-big, -big], [tiny, 0.0], [big, big]), Ordering::Greater);
+        assert_eq!(orient2d([-big, -big], [0.0, tiny], [big, big]), Ordering::Less);
     }
 
     #[test]
