@@ -24,6 +24,8 @@ pub enum Event {
         /// What a unit is ("bytes", "triangles", "tiles").
         unit: &'static str,
     },
+    /// Something the user may want to know, though all is well.
+    Note(String),
     /// Something is not as it should be, but the work goes on.
     Warning(String),
     /// The same, about a place in a text file.
@@ -63,6 +65,11 @@ impl<'a> Monitor<'a> {
     /// Reports progress.
     pub fn progress(&self, done: u64, total: Option<u64>, unit: &'static str) {
         self.send(Event::Progress { done, total, unit });
+    }
+
+    /// Tells something.
+    pub fn note(&self, text: impl Into<String>) {
+        self.send(Event::Note(text.into()));
     }
 
     /// Warns.

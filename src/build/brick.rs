@@ -1,14 +1,12 @@
 //! The fifth phase, second half: a brick becomes a page.
 
 use std::collections::HashMap;
-use std::hash::Hash;
 
 use crate::error::{Error, Result};
-use crate::format::{LeafUnit, PageHeader, PageId, SideArrays};
+use crate::format::{LeafUnit, PageHeader, PageId, SideArrays, pack};
 use crate::geometry::RootCube;
 use crate::mesh::NO_INDEX;
 
-use super::blocks::Blocks;
 use super::chunk::BrickList;
 use super::options::BuildOptions;
 use super::record::Layout;
@@ -21,13 +19,13 @@ pub(super) struct BrickBuilder<'a> {
     pub root: RootCube,
     pub unit: LeafUnit,
     pub wide_materials: bool,
-    pub normals: &'a Blocks<[f32; 3]>,
-    pub texcoords: &'a Blocks<[f32; 2]>,
 }
 
 /// A finished page and what the top needs to know of it.
 pub(super) struct BuiltBrick {
     pub page: Vec<u8>,
+    /// The page as it is to be stored, if packed.
+    pub packed: Option<Vec<u8>>,
     pub top: TopBrick,
     pub corner: [f32; 3],
     pub unit: [f32; 3],
@@ -62,7 +60,9 @@ impl BrickBuilder<'_> {
         let page = bytes.ok_or_else(|| {
             Error::Option(format!("a page of {references} triangles would pass 4 GiB; give a smaller --brick"))
         })?;
+        let packed = self.options.compress.map(|level| pack(&page, level)).transpose();
         Ok(BuiltBrick {
+            packed: packed.map_err(Error::io("memory", "pack a page in"))?,
             page,
             top: TopBrick { cell, bounds_root },
             corner,
@@ -95,8 +95,8 @@ impl BrickBuilder<'_> {
                 side.ids.push(self.layout.id(record));
             }
             side.materials.extend(self.layout.material(record));
-            normals.push(self.layout.normals(record), |n| self.normals.get(n), |n| n.map(f32::to_bits));
-            texcoords.push(self.layout.texcoords(record), |n| self.texcoords.get(n), |t| t.map(f32::to_bits));
+            normals.push(self.layout.normals(record));
+            texcoords.push(self.layout.texcoords(record));
         }
         (side.normal_corners, side.normals) = normals.finish();
         (side.texcoord_corners, side.texcoords) = texcoords.finish();
@@ -105,32 +105,34 @@ impl BrickBuilder<'_> {
 }
 
 /// Attributes of a page, merged by their bits, in the order of first use.
-struct Table<T, K> {
+struct Table<const N: usize> {
     corners: Vec<[u32; 3]>,
-    values: Vec<T>,
-    places: HashMap<K, u32>,
+    values: Vec<[f32; N]>,
+    places: HashMap<[u32; N], u32>,
 }
 
-impl<T: Copy, K: Hash + Eq> Table<T, K> {
+impl<const N: usize> Table<N> {
     fn new() -> Self {
         Table { corners: Vec::new(), values: Vec::new(), places: HashMap::new() }
     }
 
-    /// Adds the corners of a reference.
-    fn push(&mut self, numbers: Option<[u32; 3]>, get: impl Fn(u32) -> Option<T>, key: impl Fn(T) -> K) {
-        let Some(numbers) = numbers else { return };
-        let corners = numbers.map(|number| {
-            let Some(value) = get(number) else { return NO_INDEX };
-            *self.places.entry(key(value)).or_insert_with(|| {
+    /// Adds the corners of a reference; one whose value is not finite has none.
+    fn push(&mut self, corners: Option<[[f32; N]; 3]>) {
+        let Some(corners) = corners else { return };
+        let places = corners.map(|value| {
+            if !value.iter().all(|x| x.is_finite()) {
+                return NO_INDEX;
+            }
+            *self.places.entry(value.map(f32::to_bits)).or_insert_with(|| {
                 self.values.push(value);
                 self.values.len() as u32 - 1
             })
         });
-        self.corners.push(corners);
+        self.corners.push(places);
     }
 
     /// The arrays; empty where no corner has a value.
-    fn finish(self) -> (Vec<[u32; 3]>, Vec<T>) {
+    fn finish(self) -> (Vec<[u32; 3]>, Vec<[f32; N]>) {
         if self.values.is_empty() { Default::default() } else { (self.corners, self.values) }
     }
 }

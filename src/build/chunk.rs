@@ -1,6 +1,7 @@
 //! The fifth phase, first half: a chunk in memory is cut into the triangle lists of its bricks.
 //!
-//! A brick is an octree cell of at most the brick limit of triangles (or at the depth limit) whose parent has more.
+//! A brick is an octree cell of at most the brick limit of triangles whose parent has more. A cell at the depth limit that
+//! has more is several bricks: runs of its triangles in the source's order.
 
 use rayon::prelude::*;
 
@@ -79,8 +80,12 @@ impl Loaded<'_> {
         if records.is_empty() {
             return Vec::new();
         }
-        if records.len() <= self.rule.limit as usize || cell.level >= self.rule.depth {
+        let limit = self.rule.limit as usize;
+        if records.len() <= limit {
             return vec![BrickList { cell, records }];
+        }
+        if cell.level >= self.rule.depth {
+            return records.chunks(limit).map(|run| BrickList { cell, records: run.to_vec() }).collect();
         }
         let octants = self.octants(cell, &records);
         drop(records);

@@ -3,8 +3,6 @@
 //! Each chunk has a buffer; a full one is appended to the spool as an extent and noted in the chunk's list, so that a
 //! chunk keeps the order of the source. One file, however many chunks: files are dear on some systems.
 
-use std::path::Path;
-
 use rayon::prelude::*;
 
 use crate::error::Result;
@@ -14,6 +12,8 @@ use super::grid::{CellCode, Grid, Placement, Unit, merge, places};
 use super::options::Tuning;
 use super::record::Layout;
 use super::spool::Spool;
+use super::subtree::cell_of;
+use super::words::Words;
 
 /// A run of words in a spool.
 #[derive(Clone, Copy, Debug)]
@@ -23,17 +23,18 @@ pub(super) struct Extent {
 }
 
 /// Records that lie in a spool as extents.
+#[derive(Clone, Copy)]
 pub(super) struct Records<'a> {
-    pub spool: &'a mut Spool,
+    pub spool: &'a Spool<'a>,
     pub extents: &'a [Extent],
     pub layout: Layout,
 }
 
 impl Records<'_> {
-    /// Calls `take` with all records in order, a piece at a time.
-    fn pieces(&mut self, monitor: Monitor<'_>, mut take: impl FnMut(&[u32]) -> Result<()>) -> Result<()> {
-        const PIECE: u64 = 1 << 18;
-        let piece = PIECE * self.layout.words() as u64;
+    /// Calls `take` with all records in order, at most `piece` of them at a time.
+    pub fn pieces(&self, piece: u64, monitor: Monitor<'_>, mut take: impl FnMut(&[u32]) -> Result<()>) -> Result<()> {
+        let records = |words: u64| words / self.layout.words() as u64;
+        let piece = piece * self.layout.words() as u64;
         let total: u64 = self.extents.iter().map(|extent| extent.words).sum();
         let (mut words, mut done) = (Vec::new(), 0);
         for extent in self.extents {
@@ -43,7 +44,6 @@ impl Records<'_> {
                 self.spool.read(extent.at + at, &mut words)?;
                 take(&words)?;
                 done += words.len() as u64;
-                let records = |words: u64| words / self.layout.words() as u64;
                 monitor.progress(records(done), Some(records(total)), "triangles");
             }
         }
@@ -51,9 +51,9 @@ impl Records<'_> {
     }
 
     /// Reads all of them.
-    pub fn load(&mut self) -> Result<Vec<u32>> {
+    pub fn load(&self) -> Result<Words> {
         let total: u64 = self.extents.iter().map(|extent| extent.words).sum();
-        let (mut words, mut done) = (vec![0; total as usize], 0);
+        let (mut words, mut done) = (Words::zeroed(total as usize)?, 0);
         for extent in self.extents {
             let end = done + extent.words as usize;
             self.spool.read(extent.at, &mut words[done..end])?;
@@ -79,7 +79,6 @@ impl Chunk {
 /// How to sort: sizes, and how triangles belong to cells.
 #[derive(Clone, Copy)]
 pub(super) struct Sorting<'a> {
-    pub folder: &'a Path,
     pub tuning: &'a Tuning,
     pub placement: Placement,
     /// Most triangles of a chunk.
@@ -90,83 +89,138 @@ pub(super) struct Sorting<'a> {
 }
 
 impl Sorting<'_> {
-    /// Counts the triangles of `records`, which belong to `cell`, and makes units.
-    pub fn count(self, records: &mut Records<'_>, cell: CellCode) -> Result<Vec<Unit>> {
-        let grid = Grid::new(cell, (cell.level + self.tuning.grid_levels).min(self.depth));
+    /// A grid of counts for the triangles of `cell`.
+    pub fn grid(self, cell: CellCode) -> Grid {
+        Grid::new(cell, (cell.level + self.tuning.grid_levels).min(self.depth))
+    }
+
+    /// Counts the triangles of `records`, which belong to `cell`.
+    pub fn count(self, records: Records<'_>, cell: CellCode) -> Result<Grid> {
+        let grid = self.grid(cell);
         let layout = records.layout;
-        records.pieces(self.monitor, |words| {
+        records.pieces(self.tuning.piece, self.monitor, |words| {
             words.par_chunks_exact(layout.words()).with_min_len(1024).for_each(|record| {
                 grid.count(&layout.triangle(record), self.placement);
             });
             Ok(())
         })?;
-        Ok(grid.units(self.limit))
+        Ok(grid)
     }
 
-    /// Sorts the triangles of `records`, which belong to `cell`, into chunks of `units`.
-    pub fn distribute(self, records: &mut Records<'_>, cell: CellCode, units: &[Unit]) -> Result<(Spool, Vec<Chunk>)> {
+    /// Sorts the triangles of `records`, which belong to `cell`, into chunks of `units`; they go to `spool`.
+    pub fn distribute<'s>(
+        self,
+        records: Records<'_>,
+        cell: CellCode,
+        units: &[Unit],
+        spool: Spool<'s>,
+    ) -> Result<(Spool<'s>, Vec<Chunk>)> {
         let ends = merge(units, self.limit);
         let layout = records.layout;
-        let mut writer = ChunkWriter::new(self, layout, units, &ends);
+        let mut writer = ChunkWriter::new(self.tuning.buffer_words, spool, layout, units, &ends);
         // The chunk of each unit.
         let chunk_of: Vec<u32> = (0..units.len()).map(|unit| ends.partition_point(|&end| end <= unit) as u32).collect();
-        records.pieces(self.monitor, |words| {
-            let goals: Vec<Vec<(u32, u32)>> = words
-                .par_chunks(4096 * layout.words())
-                .map(|part| self.goals(part, layout, cell, units, &chunk_of))
-                .collect();
-            for (part, goals) in words.chunks(4096 * layout.words()).zip(goals) {
-                for (record, chunk) in goals {
-                    let at = record as usize * layout.words();
-                    writer.push(chunk as usize, &part[at..at + layout.words()])?;
-                }
-            }
-            Ok(())
+        let mut waiting: Vec<Sorted> = Vec::new();
+        records.pieces(self.tuning.piece, self.monitor, |words| {
+            // The piece before is written while this one is sorted.
+            let before = std::mem::take(&mut waiting);
+            let sort = || -> Vec<Sorted> {
+                let parts = words.par_chunks(PART * layout.words());
+                parts.map(|part| self.sorted(part, layout, cell, units, &chunk_of)).collect()
+            };
+            let (sorted, written) = rayon::join(sort, || writer.take(&before));
+            waiting = sorted;
+            written
         })?;
+        writer.take(&waiting)?;
         writer.finish()
     }
 
-    /// Pairs of record and chunk: each record once in each chunk it belongs to.
-    fn goals(self, part: &[u32], layout: Layout, cell: CellCode, units: &[Unit], chunk_of: &[u32]) -> Vec<(u32, u32)> {
-        let mut goals = Vec::with_capacity(part.len() / layout.words());
-        for (number, record) in (0..).zip(part.chunks_exact(layout.words())) {
-            places(units, &layout.triangle(record), cell, self.placement, |unit| {
-                // Units come in order, so a chunk that has the record already is the last one.
-                let goal = (number, chunk_of[unit]);
-                if goals.last() != Some(&goal) {
-                    goals.push(goal);
-                }
-            });
+    /// A part by chunks: each record once in each chunk it belongs to.
+    fn sorted(self, part: &[u32], layout: Layout, cell: CellCode, units: &[Unit], chunk_of: &[u32]) -> Sorted {
+        let words = layout.words();
+        let mut goals: Vec<(u32, u32)> = Vec::with_capacity(part.len() / words);
+        for (number, record) in (0..).zip(part.chunks_exact(words)) {
+            let triangle = layout.triangle(record);
+            if self.placement.repeats() {
+                places(units, &triangle, cell, self.placement, |unit| {
+                    // Units come in order, so a chunk that has the record already is the last one.
+                    let goal = (chunk_of[unit], number);
+                    if goals.last() != Some(&goal) {
+                        goals.push(goal);
+                    }
+                });
+            } else {
+                let code = cell_of(self.placement.root, &triangle);
+                goals.push((chunk_of[units.partition_point(|unit| unit.cell.end() <= code)], number));
+            }
         }
-        goals
+        goals.sort_unstable();
+        let mut sorted = Sorted { words: Vec::with_capacity(words * goals.len()), runs: Vec::new() };
+        for run in goals.chunk_by(|a, b| a.0 == b.0) {
+            for &(_, number) in run {
+                sorted.words.extend_from_slice(&part[number as usize * words..][..words]);
+            }
+            sorted.runs.push((run[0].0, words * run.len()));
+        }
+        sorted
     }
 }
 
+/// Records that are sorted at a time by one thread.
+const PART: usize = 4096;
+
+/// Records by chunks.
+struct Sorted {
+    words: Vec<u32>,
+    /// Chunk and number of words of each run.
+    runs: Vec<(u32, usize)>,
+}
+
 /// Chunks being filled.
-struct ChunkWriter {
-    spool: Spool,
+struct ChunkWriter<'a> {
+    spool: Spool<'a>,
     chunks: Vec<Chunk>,
     buffers: Vec<Vec<u32>>,
     buffer_words: usize,
 }
 
-impl ChunkWriter {
-    fn new(sorting: Sorting<'_>, layout: Layout, units: &[Unit], ends: &[usize]) -> Self {
+impl<'a> ChunkWriter<'a> {
+    fn new(buffer_words: usize, spool: Spool<'a>, layout: Layout, units: &[Unit], ends: &[usize]) -> Self {
         let starts = std::iter::once(0).chain(ends.iter().copied());
         let chunks: Vec<Chunk> =
             starts.zip(ends).map(|(from, &to)| Chunk { units: units[from..to].to_vec(), extents: vec![] }).collect();
-        let tuning = sorting.tuning;
         ChunkWriter {
-            spool: Spool::new(sorting.folder, tuning.record_words),
+            spool,
             buffers: vec![Vec::new(); chunks.len()],
-            buffer_words: (tuning.buffer_words / chunks.len()).clamp(layout.words(), 1 << 18),
+            buffer_words: (buffer_words / chunks.len()).clamp(layout.words(), 1 << 18),
             chunks,
         }
     }
 
-    fn push(&mut self, chunk: usize, record: &[u32]) -> Result<()> {
-        self.buffers[chunk].extend(record);
-        if self.buffers[chunk].len() >= self.buffer_words { self.flush(chunk) } else { Ok(()) }
+    fn take(&mut self, parts: &[Sorted]) -> Result<()> {
+        for part in parts {
+            let mut rest = &part.words[..];
+            for &(chunk, words) in &part.runs {
+                let (run, after) = rest.split_at(words);
+                rest = after;
+                self.push(chunk as usize, run)?;
+            }
+        }
+        Ok(())
+    }
+
+    fn push(&mut self, chunk: usize, run: &[u32]) -> Result<()> {
+        let buffer = &mut self.buffers[chunk];
+        if buffer.len() + run.len() > self.buffer_words {
+            self.flush(chunk)?;
+        }
+        let buffer = &mut self.buffers[chunk];
+        if buffer.capacity() == 0 {
+            buffer.reserve_exact(self.buffer_words.max(run.len()));
+        }
+        buffer.extend_from_slice(run);
+        Ok(())
     }
 
     fn flush(&mut self, chunk: usize) -> Result<()> {
@@ -179,7 +233,7 @@ impl ChunkWriter {
         Ok(())
     }
 
-    fn finish(mut self) -> Result<(Spool, Vec<Chunk>)> {
+    fn finish(mut self) -> Result<(Spool<'a>, Vec<Chunk>)> {
         (0..self.chunks.len()).try_for_each(|chunk| self.flush(chunk))?;
         Ok((self.spool, self.chunks))
     }

@@ -4,11 +4,16 @@
 //! triangle ids and which material its faces have, so that blocks can be joined in any order. Its words are, one array
 //! after the other: sizes (unless all faces are triangles), corners, texture coordinate numbers and normal numbers (if
 //! any), pairs of face and material number.
+//!
+//! A face of more than [`CLIP_LIMIT`] corners is cut as a fan whatever its shape, so that is done at once: blocks stay
+//! small, however many corners a face has. Such faces are listed, since a bad corner drops all of a face.
 
 use crate::error::{Error, Result};
 use crate::mesh::{FaceBatch, NO_INDEX};
 
+use super::polygon::CLIP_LIMIT;
 use super::spool::Spool;
+use super::table::{FEW, Kind, PART};
 
 /// Triangles that the fan of a face has, or would have had if it is a gap.
 pub(super) fn triangles_of(size: u32) -> u32 {
@@ -21,7 +26,7 @@ pub(super) fn corners_of(size: u32) -> usize {
 }
 
 /// Where a block lies and what is in it.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Block {
     at: u64,
     first_id: u32,
@@ -30,12 +35,22 @@ struct Block {
     texcoords: usize,
     normals: usize,
     materials: usize,
+    /// Parts of the tables of positions, texture coordinates and normals that the corners touch; `None` = many.
+    touched: [Option<Box<[u32]>>; 3],
+}
+
+/// A face that was cut as it came: the ids of its triangles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct LargeFace {
+    pub first_id: u32,
+    pub triangles: u32,
 }
 
 /// A block that has been read back.
 pub(super) struct LoadedBlock {
     words: Vec<u32>,
-    block: Block,
+    first_id: u32,
+    lengths: [usize; 5],
 }
 
 /// The arrays of a block; as in [`FaceBatch`], but materials lie flat.
@@ -48,9 +63,20 @@ pub(super) struct FaceView<'a> {
     pub materials: &'a [u32],
 }
 
+impl<'a> FaceView<'a> {
+    /// The numbers that name items of a table, one a corner; empty if no corner has one.
+    pub fn numbers(&self, kind: Kind) -> &'a [u32] {
+        match kind {
+            Kind::Position => self.corners,
+            Kind::Texcoord => self.texcoords,
+            Kind::Normal => self.normals,
+        }
+    }
+}
+
 impl LoadedBlock {
     pub fn view(&self) -> FaceView<'_> {
-        let Block { first_id, sizes, corners, texcoords, normals, materials, .. } = self.block;
+        let [sizes, corners, texcoords, normals, materials] = self.lengths;
         let mut rest = &self.words[..];
         let mut take = |n: usize| {
             let (head, tail) = rest.split_at(n);
@@ -58,7 +84,7 @@ impl LoadedBlock {
             head
         };
         FaceView {
-            first_id,
+            first_id: self.first_id,
             sizes: take(sizes),
             corners: take(corners),
             texcoords: take(texcoords),
@@ -69,8 +95,8 @@ impl LoadedBlock {
 }
 
 /// All faces of a mesh.
-pub(super) struct Faces {
-    spool: Spool,
+pub(super) struct Faces<'a> {
+    spool: Spool<'a>,
     blocks: Vec<Block>,
     block_corners: usize,
     pending: FaceBatch,
@@ -78,6 +104,9 @@ pub(super) struct Faces {
     pending_id: u64,
     material: u32,
     ids: u64,
+    corners: u64,
+    /// Faces that were cut at once, in the order of their ids.
+    pub large: Vec<LargeFace>,
     /// Whether any face has a material.
     pub has_materials: bool,
     /// Whether any corner has a texture coordinate.
@@ -88,8 +117,8 @@ pub(super) struct Faces {
     pub too_few_corners: u64,
 }
 
-impl Faces {
-    pub fn new(spool: Spool, block_corners: usize) -> Self {
+impl<'a> Faces<'a> {
+    pub fn new(spool: Spool<'a>, block_corners: usize) -> Self {
         Faces {
             spool,
             blocks: Vec::new(),
@@ -99,6 +128,8 @@ impl Faces {
             pending_id: 0,
             material: 0,
             ids: 0,
+            corners: 0,
+            large: Vec::new(),
             has_materials: false,
             has_texcoords: false,
             has_normals: false,
@@ -115,12 +146,28 @@ impl Faces {
         self.blocks.len()
     }
 
+    /// Moves all blocks to a file.
+    pub fn spill(&mut self) -> Result<()> {
+        self.spool.spill()
+    }
+
+    /// Corners of all faces.
+    pub fn corners(&self) -> u64 {
+        self.corners
+    }
+
+    /// The parts of a table that a block's faces touch, in order; `None` if they are many.
+    pub fn touched(&self, block: usize, kind: Kind) -> Option<&[u32]> {
+        self.blocks[block].touched[kind as usize].as_deref()
+    }
+
     /// Reads a block back.
-    pub fn load(&mut self, block: usize) -> Result<LoadedBlock> {
-        let block = self.blocks[block];
-        let mut words = vec![0; block.sizes + block.corners + block.texcoords + block.normals + block.materials];
+    pub fn load(&self, block: usize) -> Result<LoadedBlock> {
+        let block = &self.blocks[block];
+        let lengths = [block.sizes, block.corners, block.texcoords, block.normals, block.materials];
+        let mut words = vec![0; lengths.iter().sum()];
         self.spool.read(block.at, &mut words)?;
-        Ok(LoadedBlock { words, block })
+        Ok(LoadedBlock { words, first_id: block.first_id, lengths })
     }
 
     /// Takes a batch over, block by block.
@@ -130,18 +177,54 @@ impl Faces {
         let (mut face, mut corner) = (0, 0);
         let mut materials = batch.materials.iter().copied().peekable();
         while face < faces {
-            let (taken, corners) = self.fitting(batch, face, faces);
-            self.extend(batch, face..face + taken, corner..corner + corners);
+            let large = batch.sizes.get(face).is_some_and(|&size| corners_of(size) > CLIP_LIMIT);
+            let (taken, corners) = match large {
+                true => (1, corners_of(batch.sizes[face])),
+                false => self.fitting(batch, face, faces),
+            };
+            let before = self.pending_faces;
+            if !large {
+                self.extend(batch, face..face + taken, corner..corner + corners);
+            }
             while let Some((at, material)) = materials.next_if(|&(at, _)| (at as usize) < face + taken) {
-                self.set_material(
-                    (at as usize).saturating_sub(face) as u32 + self.pending_faces - taken as u32,
-                    material,
-                );
+                self.set_material((at as usize).saturating_sub(face) as u32 + before, material);
+            }
+            if large {
+                self.fan(batch, corner..corner + corners)?;
             }
             (face, corner) = (face + taken, corner + corners);
-            if self.pending.corners.len() >= self.block_corners || self.pending_faces as usize >= self.block_corners {
-                self.flush()?;
-            }
+            self.flush_if_full()?;
+        }
+        Ok(())
+    }
+
+    fn flush_if_full(&mut self) -> Result<()> {
+        let full =
+            self.pending.corners.len() >= self.block_corners || self.pending_faces as usize >= self.block_corners;
+        if full { self.flush() } else { Ok(()) }
+    }
+
+    /// Takes a large face over as a fan of triangles.
+    fn fan(&mut self, batch: &FaceBatch, corners: std::ops::Range<usize>) -> Result<()> {
+        let triangles = corners.len() as u32 - 2;
+        if self.ids + u64::from(triangles) <= u64::from(u32::MAX) {
+            self.large.push(LargeFace { first_id: self.ids as u32, triangles });
+        }
+        let piece = (self.block_corners / 3).max(1);
+        for first in (1..corners.len() - 1).step_by(piece) {
+            let fan = |array: &[u32]| -> Vec<u32> {
+                let Some(array) = array.get(corners.clone()) else { return Vec::new() };
+                let end = (first + piece).min(array.len() - 1);
+                (first..end).flat_map(|i| [array[0], array[i], array[i + 1]]).collect()
+            };
+            let part = FaceBatch {
+                corners: fan(&batch.corners),
+                texcoords: fan(&batch.texcoords),
+                normals: fan(&batch.normals),
+                ..Default::default()
+            };
+            self.extend(&part, 0..part.corners.len() / 3, 0..part.corners.len());
+            self.flush_if_full()?;
         }
         Ok(())
     }
@@ -155,7 +238,7 @@ impl Faces {
         }
         let (mut taken, mut corners) = (0, 0);
         for &size in batch.sizes[face..].iter().take(self.block_corners) {
-            if corners >= room {
+            if corners >= room || corners_of(size) > CLIP_LIMIT {
                 break;
             }
             corners += corners_of(size);
@@ -166,6 +249,7 @@ impl Faces {
 
     fn extend(&mut self, batch: &FaceBatch, faces: std::ops::Range<usize>, corners: std::ops::Range<usize>) {
         let before = self.pending.corners.len();
+        self.corners += corners.len() as u64;
         if batch.sizes.is_empty() {
             self.ids += faces.len() as u64;
             if !self.pending.sizes.is_empty() {
@@ -220,6 +304,7 @@ impl Faces {
             texcoords: pending.texcoords.len(),
             normals: pending.normals.len(),
             materials: materials.len(),
+            touched: [&pending.corners, &pending.texcoords, &pending.normals].map(|numbers| touched(numbers)),
         });
         for array in [&pending.sizes, &pending.corners, &pending.texcoords, &pending.normals, &materials] {
             self.spool.append(array)?;
@@ -229,6 +314,23 @@ impl Faces {
         (self.pending_faces, self.pending_id) = (0, self.ids);
         Ok(())
     }
+}
+
+/// The parts of a table that `numbers` touch, if they are few.
+fn touched(numbers: &[u32]) -> Option<Box<[u32]>> {
+    let mut parts: Vec<u32> = Vec::new();
+    let mut last = None;
+    for &number in numbers.iter().filter(|&&number| number != NO_INDEX) {
+        let part = number >> PART;
+        if last.replace(part) != Some(part) && !parts.contains(&part) {
+            if parts.len() == FEW {
+                return None;
+            }
+            parts.push(part);
+        }
+    }
+    parts.sort_unstable();
+    Some(parts.into())
 }
 
 /// Refuses a batch whose arrays do not fit together, which only a wrong reader makes.
@@ -249,15 +351,20 @@ fn check(batch: &FaceBatch) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::build::work::WorkFolder;
 
-    fn faces(block_corners: usize) -> Faces {
-        Faces::new(Spool::new(&std::env::temp_dir(), usize::MAX), block_corners)
+    fn work() -> WorkFolder {
+        WorkFolder::new(&std::env::temp_dir(), "faces_test.oct".as_ref(), true).unwrap()
+    }
+
+    fn faces(work: &WorkFolder, block_corners: usize) -> Faces<'_> {
+        Faces::new(Spool::new(work, "faces", 1 << 20), block_corners)
     }
 
     /// Id, size, corners, texture coordinate numbers, material.
     type Face = (u32, u32, Vec<u32>, Vec<u32>, u32);
 
-    fn read_all(faces: &mut Faces) -> Vec<Face> {
+    fn read_all(faces: &mut Faces<'_>) -> Vec<Face> {
         faces.flush().unwrap();
         let mut all = vec![];
         for block in 0..faces.blocks() {
@@ -293,7 +400,8 @@ mod tests {
         ];
         let mut expected = vec![];
         for limit in [1000, 3, 4, 7] {
-            let mut faces = faces(limit);
+            let work = work();
+            let mut faces = faces(&work, limit);
             batches.iter().for_each(|batch| faces.append(batch).unwrap());
             let mut all = read_all(&mut faces);
             all.iter_mut().for_each(|face| face.3.retain(|&t| t != NO_INDEX));
@@ -312,10 +420,40 @@ mod tests {
 
     #[test]
     fn arrays_that_do_not_fit_are_refused() {
-        assert!(faces(9).append(&FaceBatch { corners: vec![1, 2], ..Default::default() }).is_err());
+        let work = work();
+        let mut faces = faces(&work, 9);
+        assert!(faces.append(&FaceBatch { corners: vec![1, 2], ..Default::default() }).is_err());
         let sizes = vec![4];
-        assert!(faces(9).append(&FaceBatch { sizes, corners: vec![1, 2, 3], ..Default::default() }).is_err());
+        assert!(faces.append(&FaceBatch { sizes, corners: vec![1, 2, 3], ..Default::default() }).is_err());
         let normals = vec![1];
-        assert!(faces(9).append(&FaceBatch { corners: vec![1, 2, 3], normals, ..Default::default() }).is_err());
+        assert!(faces.append(&FaceBatch { corners: vec![1, 2, 3], normals, ..Default::default() }).is_err());
+    }
+
+    #[test]
+    fn large_faces_become_fans_in_small_blocks() {
+        let n = CLIP_LIMIT as u32 + 5;
+        let batch = FaceBatch {
+            sizes: vec![3, n, 4],
+            corners: (0..n + 7).collect(),
+            normals: (100..n + 107).collect(),
+            materials: vec![(0, 1), (1, 2), (2, 3)],
+            ..Default::default()
+        };
+        for limit in [100, 1 << 18] {
+            let work = work();
+            let mut faces = faces(&work, limit);
+            faces.append(&batch).unwrap();
+            assert_eq!(faces.large, [LargeFace { first_id: 1, triangles: n - 2 }]);
+            assert_eq!((faces.triangles(), faces.corners()), (u64::from(n) + 1, u64::from(3 * (n - 2)) + 7));
+            let all = read_all(&mut faces);
+            assert_eq!(all.len() as u32, n);
+            assert_eq!((all[0].0, &all[0].2, all[0].4), (0, &vec![0, 1, 2], 1));
+            for (i, face) in (1..).zip(&all[1..all.len() - 1]) {
+                assert_eq!((face.0, face.1, &face.2, face.4), (i, 3, &vec![3, 3 + i, 4 + i], 2));
+            }
+            let last = &all[all.len() - 1];
+            assert_eq!((last.0, last.1, &last.2, last.4), (n - 1, 4, &(n + 3..n + 7).collect(), 3));
+            assert!((0..faces.blocks()).all(|block| faces.load(block).unwrap().view().corners.len() < 2 * limit + 6));
+        }
     }
 }

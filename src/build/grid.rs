@@ -91,9 +91,14 @@ impl Grid {
         Grid { from, levels: (0..=finest - from.level).map(zeros).collect() }
     }
 
-    /// Counts a triangle in every cell it belongs to.
+    /// Counts a triangle in every cell it belongs to, or in the finest alone where there is one of each level.
     pub fn count(&self, triangle: &Triangle, placement: Placement) {
         let finest = self.from.level + self.levels.len() as u32 - 1;
+        if !placement.repeats() {
+            let code = cell_of(placement.root, triangle) >> (3 * (morton::BITS - finest));
+            self.counter(CellCode { level: finest, code }).fetch_add(1, Ordering::Relaxed);
+            return;
+        }
         placement.descend(triangle, self.from, &mut |cell| {
             self.counter(cell).fetch_add(1, Ordering::Relaxed);
             cell.level < finest
@@ -105,11 +110,29 @@ impl Grid {
         &self.levels[depth as usize][(cell.code & ((1 << (3 * depth)) - 1)) as usize]
     }
 
+    /// All zero again.
+    pub fn clear(&mut self) {
+        self.levels.iter_mut().flatten().for_each(|count| *count.get_mut() = 0);
+    }
+
     /// The units, in the order of the curve, for chunks of at most `limit` triangles.
-    pub fn units(&self, limit: u64) -> Vec<Unit> {
+    pub fn units(mut self, limit: u64, placement: Placement) -> Vec<Unit> {
+        if !placement.repeats() {
+            self.sum_up();
+        }
         let mut units = Vec::new();
         self.collect(self.from, limit, &mut units);
         units
+    }
+
+    /// Counts in each cell what its octants hold.
+    fn sum_up(&mut self) {
+        for level in (1..self.levels.len()).rev() {
+            let (above, below) = self.levels.split_at_mut(level);
+            for (sum, octants) in above[level - 1].iter_mut().zip(below[0].chunks_exact_mut(8)) {
+                *sum.get_mut() = octants.iter_mut().map(|count| *count.get_mut()).sum();
+            }
+        }
     }
 
     fn collect(&self, cell: CellCode, limit: u64, units: &mut Vec<Unit>) {
@@ -189,7 +212,7 @@ mod tests {
             let placement = placement(split);
             let grid = Grid::new(CellCode::ROOT, 4);
             triangles().iter().for_each(|t| grid.count(t, placement));
-            let units = grid.units(10);
+            let units = grid.units(10, placement);
             assert!(units.len() > 5 && units.windows(2).all(|pair| pair[0].cell.end() <= pair[1].cell.first()));
             let mut counts = vec![0; units.len()];
             for triangle in triangles() {

@@ -1,11 +1,12 @@
 //! The second phase: faces get their positions, are cut into triangles, and what no ray can hit is dropped.
 //!
-//! Blocks of faces are joined in parallel, a wave at a time, and written in order. Dropped triangles use up their ids, so
-//! that ids agree with any other program's. A face with an index out of range is dropped as a whole, then one with a vertex
-//! that is not finite; of the others, the triangles of exactly zero area.
-
-use std::path::Path;
-use std::sync::atomic::{AtomicU32, Ordering};
+//! Blocks of faces are joined in parallel, a wave at a time, while the wave before is written, in order. Dropped triangles
+//! use up their ids, so that ids agree with any other program's. A face with an index out of range is dropped as a whole,
+//! then one with a vertex that is not finite; of the others, the triangles of exactly zero area.
+//!
+//! A face of very many corners comes as single triangles. That one of its corners is bad may show only when others have
+//! been written; then all is joined again with that known. On the way triangles are counted in the grid of the next phase,
+//! whose cells are guessed from the bounds of all vertices: nearly always right, else counted again.
 
 use rayon::prelude::*;
 
@@ -16,13 +17,17 @@ use crate::format::Dropped;
 use crate::geometry::Aabb;
 use crate::mesh::{FaceBatch, NO_INDEX};
 
-use super::faces::{FaceView, corners_of, triangles_of};
+use super::faces::{FaceView, LargeFace, LoadedBlock, corners_of, triangles_of};
+use super::grid::{Grid, Placement};
 use super::options::Tuning;
 use super::polygon::{self, Cut};
 use super::record::{Layout, Record};
 use super::report::Polygons;
 use super::scan::Scan;
+use super::sketch::Sketch;
 use super::spool::Spool;
+use super::table::View;
+use super::work::WorkFolder;
 
 /// Counts and bounds of joined faces; those of blocks add up.
 #[derive(Clone, Copy, Debug)]
@@ -57,65 +62,155 @@ impl Tally {
 }
 
 /// The triangles of a mesh.
-pub(super) struct Joined {
-    pub records: Spool,
+pub(super) struct Joined<'a> {
+    pub records: Spool<'a>,
     pub layout: Layout,
     pub tally: Tally,
-    /// Vertices that kept triangles use.
-    pub used_vertices: u64,
+    /// Different points that kept triangles have as corners, about.
+    pub points: u64,
 }
 
-/// Joins all faces of `scan`; records go to a spool in `folder`.
-pub(super) fn join(scan: &mut Scan, folder: &Path, tuning: &Tuning, monitor: Monitor<'_>) -> Result<Joined> {
-    let layout = Layout {
-        materials: scan.faces.has_materials && !scan.info.materials.is_empty(),
-        normals: scan.faces.has_normals,
-        texcoords: scan.faces.has_texcoords,
-    };
-    let used = Bits::new(scan.positions.len());
-    let mut records = Spool::new(folder, tuning.record_words);
-    let mut tally = Tally::new();
-    let (blocks, total) = (scan.faces.blocks(), scan.faces.triangles());
-    let wave = 4 * rayon::current_num_threads();
-    for first in (0..blocks).step_by(wave) {
-        monitor.check()?;
-        let loaded = (first..blocks.min(first + wave)).map(|i| scan.faces.load(i)).collect::<Result<Vec<_>>>()?;
-        let mesh: &Scan = scan;
-        let pieces: Vec<Piece> = loaded
-            .into_par_iter()
-            .map(|block| {
-                let mut piece = Piece::new(mesh, layout, &used);
-                piece.join(&block.view());
-                piece
-            })
-            .collect();
-        for piece in pieces {
-            records.append(&piece.words)?;
-            tally.add(&piece.tally);
+/// What is known of large faces.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+enum Fate {
+    /// Nothing bad so far.
+    #[default]
+    Kept,
+    NonFinite,
+    BadIndex,
+}
+
+/// Joins all faces of `scan`; counts kept triangles in `grid`, if it is given.
+pub(super) fn join<'a>(
+    scan: &Scan<'_>,
+    work: &'a WorkFolder,
+    tuning: &Tuning,
+    grid: Option<(&mut Grid, Placement)>,
+    monitor: Monitor<'_>,
+) -> Result<Joined<'a>> {
+    let layout = scan.layout();
+    let mut join = Join { scan, layout, fates: vec![Fate::Kept; scan.faces.large.len()], grid };
+    loop {
+        let records = Spool::new(work, "records", tuning.record_words);
+        let mut joined = Joined { records, layout, tally: Tally::new(), points: 0 };
+        let fates = join.pass(&mut joined, tuning, monitor)?;
+        if fates == join.fates {
+            let large = fates.iter().filter(|&&fate| fate == Fate::Kept).count() as u64;
+            joined.tally.polygons.cut += large;
+            joined.tally.polygons.fanned += large;
+            joined.tally.dropped.too_few_corners = scan.info.too_few_corners + scan.faces.too_few_corners;
+            return Ok(joined);
         }
-        let done = tally.kept + tally.dropped.degenerate + tally.dropped.non_finite + tally.dropped.bad_index;
-        monitor.progress(done, Some(total), "triangles");
+        join.fates = fates;
+        if let Some((grid, _)) = &mut join.grid {
+            grid.clear();
+        }
     }
-    tally.dropped.too_few_corners = scan.info.too_few_corners + scan.faces.too_few_corners;
-    Ok(Joined { records, layout, tally, used_vertices: used.count() })
+}
+
+struct Join<'a> {
+    scan: &'a Scan<'a>,
+    layout: Layout,
+    /// Of the large faces.
+    fates: Vec<Fate>,
+    grid: Option<(&'a mut Grid, Placement)>,
+}
+
+impl Join<'_> {
+    /// Joins all faces; the fates of the large ones, as far as they showed.
+    fn pass(&self, joined: &mut Joined<'_>, tuning: &Tuning, monitor: Monitor<'_>) -> Result<Vec<Fate>> {
+        let Scan { positions, texcoords, normals, faces, .. } = self.scan;
+        let wave = tuning.wave_blocks();
+        // Three tables share what two of them may need at the same time.
+        let shares =
+            [&positions.spool, &texcoords.spool, &normals.spool].iter().filter(|s| s.memory().is_none()).count();
+        let share = tuning.window_words / shares.max(1);
+        let mut positions = positions.reader(faces, wave, share)?;
+        let mut texcoords = texcoords.reader(faces, wave, share)?;
+        let mut normals = normals.reader(faces, wave, share)?;
+        let mut fates = self.fates.clone();
+        let mut sketch = Sketch::new();
+        let mut waiting: Vec<Piece> = Vec::new();
+        for first in (0..faces.blocks()).step_by(wave) {
+            monitor.check()?;
+            let end = faces.blocks().min(first + wave);
+            let loaded = (first..end).map(|block| faces.load(block)).collect::<Result<Vec<_>>>()?;
+            let views = (
+                positions.views(first, &loaded, faces)?,
+                texcoords.views(first, &loaded, faces)?,
+                normals.views(first, &loaded, faces)?,
+            );
+            let work = loaded.par_iter().zip(views.0).zip(views.1).zip(views.2);
+            let fresh = sketch.fresh();
+            let compute = || -> Vec<Piece> {
+                let piece = |(((block, positions), texcoords), normals): (((&LoadedBlock, _), _), _)| {
+                    Joiner { join: self, positions, texcoords, normals, piece: Piece::new(fresh.clone()) }
+                        .run(&block.view())
+                };
+                work.map(piece).collect()
+            };
+            let before = std::mem::take(&mut waiting);
+            let (pieces, written) = rayon::join(compute, || write(&before, &mut joined.records));
+            written?;
+            drop(before);
+            for piece in &pieces {
+                joined.tally.add(&piece.tally);
+                sketch.merge(&piece.sketch);
+                piece.bad.iter().for_each(|&(large, fate)| fates[large] = fates[large].max(fate));
+            }
+            waiting = pieces;
+            let t = &joined.tally;
+            let done = t.kept + t.dropped.degenerate + t.dropped.non_finite + t.dropped.bad_index;
+            monitor.progress(done, Some(faces.triangles()), "triangles");
+        }
+        write(&waiting, &mut joined.records)?;
+        joined.points = sketch.estimate();
+        Ok(fates)
+    }
+
+    /// The large face that a triangle is part of.
+    fn large(&self, id: u32) -> Option<usize> {
+        let faces = &self.scan.faces.large;
+        let after = faces.partition_point(|face| face.first_id <= id);
+        let LargeFace { first_id, triangles } = *faces.get(after.checked_sub(1)?)?;
+        (id - first_id < triangles).then_some(after - 1)
+    }
+}
+
+fn write(pieces: &[Piece], records: &mut Spool<'_>) -> Result<()> {
+    pieces.iter().try_for_each(|piece| records.append(&piece.words))
+}
+
+/// What a block was joined to.
+struct Piece {
+    words: Vec<u32>,
+    tally: Tally,
+    sketch: Sketch,
+    /// Large faces with something bad in them.
+    bad: Vec<(usize, Fate)>,
+}
+
+impl Piece {
+    fn new(sketch: Sketch) -> Piece {
+        Piece { words: Vec::new(), tally: Tally::new(), sketch, bad: Vec::new() }
+    }
 }
 
 /// A block being joined.
-struct Piece<'a> {
-    scan: &'a Scan,
-    layout: Layout,
-    used: &'a Bits,
-    words: Vec<u32>,
-    tally: Tally,
-    /// Of the face at hand.
-    points: Vec<[f32; 3]>,
-    cuts: Vec<[u32; 3]>,
+struct Joiner<'a> {
+    join: &'a Join<'a>,
+    positions: View<'a, 3>,
+    texcoords: View<'a, 2>,
+    normals: View<'a, 3>,
+    piece: Piece,
 }
 
 /// A face of a block.
 struct Face<'a> {
     id: u32,
     material: u32,
+    /// Number of its first corner in the block.
+    at: usize,
     corners: &'a [u32],
     /// Empty or one a corner.
     texcoords: &'a [u32],
@@ -123,17 +218,14 @@ struct Face<'a> {
     normals: &'a [u32],
 }
 
-impl<'a> Piece<'a> {
-    fn new(scan: &'a Scan, layout: Layout, used: &'a Bits) -> Self {
-        let (points, cuts) = Default::default();
-        Piece { scan, layout, used, words: Vec::new(), tally: Tally::new(), points, cuts }
-    }
-
-    fn join(&mut self, view: &FaceView<'_>) {
+impl Joiner<'_> {
+    fn run(mut self, view: &FaceView<'_>) -> Piece {
         let faces = if view.sizes.is_empty() { view.corners.len() / 3 } else { view.sizes.len() };
-        self.words.reserve((view.corners.len() / 3) * self.layout.words());
+        self.piece.words.reserve_exact((view.corners.len() / 3) * self.join.layout.words());
         let (mut id, mut corner) = (view.first_id, 0);
         let (mut material, mut materials) = (0, view.materials.chunks_exact(2).peekable());
+        let (mut points, mut cuts) = (Vec::new(), Vec::new());
+        let known = self.join.scan.info.materials.len();
         for number in 0..faces {
             while let Some(change) = materials.next_if(|change| change[0] as usize <= number) {
                 material = change[1];
@@ -141,84 +233,101 @@ impl<'a> Piece<'a> {
             let size = view.sizes.get(number).copied().unwrap_or(3);
             let range = corner..corner + corners_of(size);
             if size & FaceBatch::GAP != 0 {
-                self.tally.dropped.bad_index += u64::from(triangles_of(size));
+                self.piece.tally.dropped.bad_index += u64::from(triangles_of(size));
             } else if size >= 3 {
-                self.face(&Face {
+                let face = Face {
                     id,
-                    material: if material as usize <= self.scan.info.materials.len() { material } else { 0 },
+                    material: if material as usize <= known { material } else { 0 },
+                    at: corner,
                     corners: &view.corners[range.clone()],
                     texcoords: view.texcoords.get(range.clone()).unwrap_or_default(),
                     normals: view.normals.get(range.clone()).unwrap_or_default(),
-                });
+                };
+                self.face(&face, &mut points, &mut cuts);
             }
             (id, corner) = (id + triangles_of(size), range.end);
         }
+        self.piece
     }
 
-    fn face(&mut self, face: &Face<'_>) {
+    fn face(&mut self, face: &Face<'_>, points: &mut Vec<[f32; 3]>, cuts: &mut Vec<[u32; 3]>) {
         let triangles = face.corners.len() as u64 - 2;
-        if !self.gather(face) {
-            self.tally.dropped.bad_index += triangles;
-            return;
+        let large = self.join.large(face.id);
+        let mut fate = self.gather(face, points);
+        if let Some(large) = large {
+            if fate > self.join.fates[large] {
+                self.piece.bad.push((large, fate));
+            }
+            fate = fate.max(self.join.fates[large]);
         }
-        if !self.points.as_flattened().iter().all(|x| x.is_finite()) {
-            self.tally.dropped.non_finite += triangles;
-            return;
+        let tally = &mut self.piece.tally;
+        match fate {
+            Fate::BadIndex => return tally.dropped.bad_index += triangles,
+            Fate::NonFinite => return tally.dropped.non_finite += triangles,
+            Fate::Kept => {}
         }
-        let around = Aabb::around(self.points.iter().map(|&p| p.into()));
-        self.tally.all_bounds = self.tally.all_bounds.union(around);
+        tally.all_bounds = tally.all_bounds.union(Aabb::around(points.iter().map(|&p| p.into())));
         if face.corners.len() == 3 {
-            return self.triangle(face, face.id, [0, 1, 2]);
+            return self.triangle(face, points, face.id, [0, 1, 2]);
         }
-        let mut cuts = std::mem::take(&mut self.cuts);
         cuts.clear();
-        let how = polygon::cut(&self.points, &mut cuts);
-        self.tally.polygons.cut += 1;
-        self.tally.polygons.clipped += u64::from(how == Cut::Clipped);
-        self.tally.polygons.fanned += u64::from(how == Cut::TooLarge);
-        for (id, &cut) in (face.id..).zip(&cuts) {
-            self.triangle(face, id, cut.map(|i| i as usize));
+        tally.polygons.cut += 1;
+        tally.polygons.clipped += u64::from(polygon::cut(points, cuts) == Cut::Clipped);
+        for (id, &cut) in (face.id..).zip(cuts.iter()) {
+            self.triangle(face, points, id, cut.map(|i| i as usize));
         }
-        self.cuts = cuts;
     }
 
-    /// Takes the positions of a face's corners; false if any number is out of range.
-    fn gather(&mut self, face: &Face<'_>) -> bool {
-        let scan = self.scan;
-        let within = |numbers: &[u32], len: usize| numbers.iter().all(|&i| i == NO_INDEX || (i as usize) < len);
-        self.points.clear();
-        self.points.extend(face.corners.iter().map_while(|&i| scan.positions.get(i)));
-        self.points.len() == face.corners.len()
+    /// Takes the positions of a face's corners, and says what is wrong with it.
+    fn gather(&self, face: &Face<'_>, points: &mut Vec<[f32; 3]>) -> Fate {
+        let scan = self.join.scan;
+        let within = |numbers: &[u32], len: u64| numbers.iter().all(|&i| i == NO_INDEX || u64::from(i) < len);
+        points.clear();
+        let whole = face.corners.iter().all(|&i| u64::from(i) < scan.positions.len())
             && within(face.texcoords, scan.texcoords.len())
-            && within(face.normals, scan.normals.len())
+            && within(face.normals, scan.normals.len());
+        if !whole {
+            return Fate::BadIndex;
+        }
+        points.extend((face.at..).zip(face.corners).map(|(corner, &i)| self.positions.get(corner, i)));
+        if points.as_flattened().iter().all(|x| x.is_finite()) { Fate::Kept } else { Fate::NonFinite }
     }
 
     /// One triangle of a face, by places in the face.
-    fn triangle(&mut self, face: &Face<'_>, id: u32, places: [usize; 3]) {
-        let corners = places.map(|i| self.points[i]);
+    fn triangle(&mut self, face: &Face<'_>, points: &[[f32; 3]], id: u32, places: [usize; 3]) {
+        let corners = places.map(|i| points[i]);
+        let tally = &mut self.piece.tally;
         if exactly_degenerate(&corners.into()) {
-            self.tally.dropped.degenerate += 1;
-            self.tally.merged += u64::from(is_merged(corners, places.map(|i| face.corners[i])));
+            tally.dropped.degenerate += 1;
+            tally.merged += u64::from(is_merged(corners, places.map(|i| face.corners[i])));
             return;
         }
-        places.iter().for_each(|&i| self.used.set(face.corners[i]));
+        tally.kept += 1;
+        tally.bounds = tally.bounds.union(Aabb::around(corners.map(Into::into)));
+        corners.iter().for_each(|&corner| self.piece.sketch.add(corner));
+        if let Some((grid, placement)) = &self.join.grid {
+            grid.count(&corners.into(), *placement);
+        }
         let record = Record {
             corners,
             id,
             material: face.material,
-            normals: places.map(|i| self.attribute(face.normals, i, |n| self.scan.normals.get(n))),
-            texcoords: places.map(|i| self.attribute(face.texcoords, i, |n| self.scan.texcoords.get(n))),
+            normals: places.map(|i| attribute(&self.normals, face.normals, face.at, i)),
+            texcoords: places.map(|i| attribute(&self.texcoords, face.texcoords, face.at, i)),
         };
-        self.layout.write(&record, &mut self.words);
-        self.tally.kept += 1;
-        self.tally.bounds = self.tally.bounds.union(Aabb::around(corners.map(Into::into)));
+        self.join.layout.write(&record, &mut self.piece.words);
     }
+}
 
-    /// A corner's attribute number, none if it is not there or not finite (nothing can be shaded with that).
-    fn attribute<const N: usize>(&self, numbers: &[u32], place: usize, get: impl Fn(u32) -> Option<[f32; N]>) -> u32 {
-        let number = numbers.get(place).copied().unwrap_or(NO_INDEX);
-        let finite = get(number).is_some_and(|value| value.iter().all(|x| x.is_finite()));
-        if finite { number } else { NO_INDEX }
+/// A corner's attribute; NaN if there is none, or it is not finite (nothing can be shaded with that).
+fn attribute<const N: usize>(view: &View<'_, N>, numbers: &[u32], at: usize, place: usize) -> [f32; N] {
+    const NONE: f32 = f32::from_bits(0x7fc0_0000);
+    match numbers.get(place) {
+        Some(&number) if number != NO_INDEX => {
+            let value = view.get(at + place, number);
+            if value.iter().all(|x| x.is_finite()) { value } else { [NONE; N] }
+        }
+        _ => [NONE; N],
     }
 }
 
@@ -227,25 +336,4 @@ fn is_merged(corners: [[f32; 3]; 3], numbers: [u32; 3]) -> bool {
     [(0, 1), (1, 2), (2, 0)]
         .into_iter()
         .any(|(i, j)| numbers[i] != numbers[j] && corners[i].map(f32::to_bits) == corners[j].map(f32::to_bits))
-}
-
-/// A set of numbers that threads fill together.
-struct Bits(Vec<AtomicU32>);
-
-impl Bits {
-    fn new(len: usize) -> Self {
-        Bits(std::iter::repeat_with(AtomicU32::default).take(len.div_ceil(32)).collect())
-    }
-
-    fn set(&self, number: u32) {
-        let (word, bit) = (&self.0[number as usize / 32], 1 << (number % 32));
-        // Most are set already; reading first keeps the cache line shared.
-        if word.load(Ordering::Relaxed) & bit == 0 {
-            word.fetch_or(bit, Ordering::Relaxed);
-        }
-    }
-
-    fn count(&self) -> u64 {
-        self.0.iter().map(|word| u64::from(word.load(Ordering::Relaxed).count_ones())).sum()
-    }
 }

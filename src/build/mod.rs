@@ -1,20 +1,26 @@
 //! The builder: from a stream of triangles to a finished octree file.
 //!
-//! Phases, each of them streaming: **scan** takes the vertices into memory and the faces to a temporary file; **join**
-//! gives each face its positions, cuts polygons, drops what no ray can hit and writes triangle records; **count** and
-//! **distribute** sort the records into chunks, runs of octree cells that fit in memory, within one temporary file;
-//! **chunks** takes them in the order of the curve, cuts each into bricks and writes their pages; **stitch** adds the
-//! top of the tree and the header. A mesh that fits in one chunk skips the sorting.
+//! Phases, each of them streaming: **scan** takes vertices and faces to tables, in memory while they fit, else in temporary
+//! files; **join** gives each face its positions, cuts polygons, drops what no ray can hit and writes triangle records;
+//! **count** (done by the join already, as a rule) and **distribute** sort the records into chunks, runs of octree cells
+//! that fit in memory, within one temporary file; **chunks** takes them in the order of the curve, cuts each into bricks
+//! and writes their pages; **stitch** adds the top of the tree and the header. A mesh that fits in one chunk skips the sorting.
+//!
+//! Memory is bounded by [`BuildOptions::memory`], of which each phase has its shares ([`options`]). Only the directory of
+//! pages, materials, and a list of face blocks grow with the mesh, by far less than a byte a triangle.
+//!
+//! A build that was killed leaves its work folder and a partial file; [`BuildOptions::resume`] goes on from there
+//! ([`checkpoint`]).
 //!
 //! The bricks are true octree cells and depend on the mesh and the options only, never on the size of a chunk or the
 //! number of threads; so the same input gives the same bytes. Work runs on the current rayon pool.
 //!
 //! Counting into a grid whose cells are merged into chunks is Potree 2's scheme (Schütz, Ohrhallinger and Wimmer 2020),
-//! with triangles for points. Memory is a constant (a few chunks) plus the source's vertex data, 12 bytes a vertex, 8 and
-//! 12 more for each texture coordinate and normal where there are any.
+//! with triangles for points.
 
-mod blocks;
+mod answers;
 mod brick;
+mod checkpoint;
 mod chunk;
 mod distribute;
 mod faces;
@@ -28,11 +34,16 @@ mod pipeline;
 mod polygon;
 mod record;
 mod report;
+mod room;
 mod scan;
+mod sketch;
 mod spool;
 pub(crate) mod subtree;
+mod table;
 #[cfg(test)]
 mod tests;
+mod words;
+mod work;
 
 pub use options::BuildOptions;
 pub use phases::Phase;

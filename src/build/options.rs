@@ -6,6 +6,8 @@ use crate::error::{Error, Result};
 use crate::format::{LEAF_MAX, SplitMode};
 use crate::geometry::morton;
 
+use super::record::Layout;
+
 /// How to build. `Default` is what `octbuild` does without flags.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BuildOptions {
@@ -21,8 +23,18 @@ pub struct BuildOptions {
     pub depth: u8,
     /// Whether face ids are stored.
     pub ids: bool,
+    /// Level, 1 to 22, at which pages are packed with zstd; `None`: they are not, so that they can be used where they lie.
+    pub compress: Option<i32>,
     /// The origin that the source subtracts from its coordinates, recorded in the header.
     pub origin: [f64; 3],
+    /// Bound on the resident memory of the process, in bytes, at least [`BuildOptions::LEAST_MEMORY`].
+    pub memory: u64,
+    /// Which source this is, as text that no other has (see [`crate::mesh::identity`]): then a build that is killed can be
+    /// taken up again.
+    pub source: Option<String>,
+    /// Whether to take up what a killed build of the same source, with the same options, has left. Without that it is
+    /// removed.
+    pub resume: bool,
     /// Folder for temporary files; `None`: the output's.
     pub temp: Option<PathBuf>,
     /// The mesh's name in messages; `None`: "the mesh".
@@ -38,7 +50,11 @@ impl Default for BuildOptions {
             cell: 16,
             depth: morton::BITS as u8,
             ids: true,
+            compress: None,
             origin: [0.0; 3],
+            memory: 1 << 30,
+            source: None,
+            resume: false,
             temp: None,
             name: None,
         }
@@ -51,6 +67,19 @@ const ONE_BRICK: u64 = 1 << 18;
 const MANY_BRICKS: u32 = 16_384;
 
 impl BuildOptions {
+    /// The least memory that a build can be bound to: 64 MiB.
+    pub const LEAST_MEMORY: u64 = 64 << 20;
+
+    /// The part of the memory that a source may use: give it to [`crate::mesh::ReadOptions::within`].
+    pub fn reading_memory(&self) -> u64 {
+        (working_memory(self.memory) / 4).min(128 << 20)
+    }
+
+    /// Most materials that leave room for the build: give it to [`crate::mesh::ReadOptions::most_materials`].
+    pub fn most_materials(&self) -> usize {
+        (working_memory(self.memory) / 3 / 300) as usize
+    }
+
     /// [`Error::Option`] for a value out of its range.
     pub(super) fn validate(&self) -> Result<()> {
         let wrong = |what: String| Err(Error::Option(what));
@@ -68,6 +97,12 @@ impl BuildOptions {
                 "a strict octree stores triangles several times and needs their ids: drop --no-ids, or use --split sah"
                     .into(),
             );
+        }
+        if self.compress.is_some_and(|level| !(1..=22).contains(&level)) {
+            return wrong("zstd has levels 1 to 22".into());
+        }
+        if self.memory < Self::LEAST_MEMORY {
+            return wrong(format!("{} bytes of memory are too few; at least 64 MiB are needed", self.memory));
         }
         if !self.origin.iter().all(|x| x.is_finite()) {
             return wrong("the origin is not finite".into());
@@ -95,32 +130,84 @@ impl BuildOptions {
     }
 }
 
+/// Memory that is left for a build's own data: without the program, its stacks, and what the allocator wastes.
+fn working_memory(memory: u64) -> u64 {
+    memory.saturating_sub(super::phases::resident() + (8 << 20)).max(40 << 20)
+}
+
 /// Sizes that change memory and traffic, but never the file's bytes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tuning {
     /// Corners of a block of faces, the unit of work of the join.
     pub block_corners: usize,
+    /// Words of vertex data kept in memory.
+    pub table_words: usize,
+    /// Words of memory for reading vertex data that is not.
+    pub window_words: usize,
     /// Words of the face spool kept in memory.
     pub face_words: usize,
-    /// Words of a record spool kept in memory.
+    /// Words of the record spool kept in memory.
     pub record_words: usize,
-    /// Triangles of a chunk (never less than the brick limit).
-    pub chunk: u64,
+    /// Records that are read at a time while sorting.
+    pub piece: u64,
+    /// Bytes of a chunk, with all that is needed to cut it into bricks.
+    pub chunk_bytes: u64,
+    /// Bytes for bricks that are built at the same time.
+    pub wave_bytes: u64,
     /// Levels of the counting grid.
     pub grid_levels: u32,
     /// Words of write buffers over all chunks while distributing.
     pub buffer_words: usize,
+    /// Bytes of what is held of each page until the end.
+    pub top_bytes: u64,
 }
 
-impl Default for Tuning {
-    fn default() -> Self {
+impl Tuning {
+    /// The sizes for `memory` bytes in all.
+    ///
+    /// Of what there is for the build itself (w), the source's reader takes w/4 while scanning; an allocator need not give
+    /// that back, so all else keeps to 3 w/4 at any time. Tables, faces and records that outgrow their share go to files.
+    pub fn within(memory: u64, threads: usize) -> Tuning {
+        let w = working_memory(memory);
+        let words = |bytes: u64| (bytes / 4) as usize;
         Tuning {
-            block_corners: 1 << 18,
-            face_words: 16 << 20,
-            record_words: 64 << 20,
-            chunk: 4 << 20,
-            grid_levels: 7,
-            buffer_words: 16 << 20,
+            block_corners: (w as usize / 8 / (2 * threads) / 64).clamp(1 << 10, 1 << 17),
+            table_words: words(w / 16 * 5),
+            window_words: words(w / 4),
+            face_words: words(w / 8),
+            record_words: words(w / 5),
+            piece: (w / 64 / 104).clamp(1 << 12, 1 << 17),
+            chunk_bytes: w / 8 * 3,
+            wave_bytes: w / 4,
+            grid_levels: if w >= 256 << 20 { 7 } else { 6 },
+            buffer_words: words(w / 8),
+            top_bytes: w / 8,
         }
     }
+
+    /// Blocks of faces that are joined at a time.
+    pub fn wave_blocks(&self) -> usize {
+        2 * rayon::current_num_threads()
+    }
+
+    /// The finest level of the first counting grid.
+    pub fn first_grid(&self, options: &BuildOptions) -> u32 {
+        self.grid_levels.min(options.depth.into())
+    }
+
+    /// Most triangles of a chunk.
+    pub fn chunk(&self, layout: Layout) -> u64 {
+        // A record, its Morton code, and its place in lists that are being split.
+        self.chunk_bytes / (4 * layout.words() as u64 + 28)
+    }
+
+    /// Most triangles of bricks that are built at the same time.
+    pub fn wave(&self, layout: Layout) -> u64 {
+        self.wave_bytes / brick_bytes(layout)
+    }
+}
+
+/// Bytes a triangle of a brick takes while the brick is built: its copy, the tree (see [`super::subtree`]), the page.
+pub(super) fn brick_bytes(layout: Layout) -> u64 {
+    180 + 10 * (layout.words() as u64 - 10)
 }

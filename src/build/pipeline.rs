@@ -12,21 +12,23 @@ use crate::geometry::RootCube;
 use crate::mesh::TriangleSource;
 
 use super::brick::{BrickBuilder, BuiltBrick};
+use super::checkpoint::{ChunkState, JoinedState, PageEntry, PageLog, State};
 use super::chunk::{BrickList, BrickRule, bricks};
 use super::distribute::{Chunk, Extent, Records, Sorting};
-use super::faces::Faces;
-use super::grid::{CellCode, Placement, Unit};
-use super::join::{Joined, join};
+use super::grid::{CellCode, Grid, Placement, Unit};
+use super::join::{Tally, join};
 use super::materials::materials;
-use super::options::{BuildOptions, Tuning};
+use super::options::{BuildOptions, Tuning, brick_bytes};
 use super::origin::{suggestion, warn_if_merged};
 use super::phases::Phases;
 use super::polygon::CLIP_LIMIT;
 use super::record::Layout;
 use super::report::BuildReport;
-use super::scan::{Scan, scan};
-use super::spool::{Spool, temporary};
-use super::subtree::{TopBrick, build_top, top_levels};
+use super::room::{check_after, check_before};
+use super::scan::scan;
+use super::spool::Spool;
+use super::subtree::{Cell, TopBrick, build_top, top_levels};
+use super::work::WorkFolder;
 
 /// Builds the octree file `output` from `source`.
 ///
@@ -40,7 +42,8 @@ pub fn build(
     options: &BuildOptions,
     monitor: Monitor<'_>,
 ) -> Result<BuildReport> {
-    build_tuned(source, output, options, &Tuning::default(), monitor)
+    let tuning = Tuning::within(options.memory, rayon::current_num_threads());
+    build_tuned(source, output, options, &tuning, monitor)
 }
 
 /// [`build`] with sizes that only tests change.
@@ -52,31 +55,142 @@ pub(super) fn build_tuned(
     monitor: Monitor<'_>,
 ) -> Result<BuildReport> {
     options.validate()?;
-    let folder = options.temp_folder(output);
     // Both at once, so that a folder that cannot be written is told before a long scan.
-    temporary(&folder)?;
-    let writer = OctWriter::create(output)?;
-    let mut phases = Phases::new(monitor);
+    let mut writer = OctWriter::open(output)?;
+    let work = WorkFolder::new(&options.temp_folder(output), output, writer.is_first())?;
+    let mut phases = Phases::new(options.memory, monitor);
 
-    phases.begin("scan");
-    let faces = Faces::new(Spool::new(&folder, tuning.face_words), tuning.block_corners);
-    let mut scan = scan(source, faces, monitor)?;
-    phases.begin("join");
-    let joined = join(&mut scan, &folder, tuning, monitor)?;
-    check_joined(&joined, options, monitor)?;
-
-    let source = Source::of(scan, &joined);
-    let mut build = Build::new(&source, &joined, options, writer, monitor);
-    build.run(joined.records, &folder, tuning, &mut phases)?;
+    let found = if options.resume { taken_up(&work, options) } else { None };
+    if options.resume && found.is_none() {
+        monitor.warn("there is no unfinished build of this mesh with these options to go on with; it begins anew");
+    }
+    let Triangles { mesh, stage, state } = match found {
+        Some(triangles) => triangles,
+        None => {
+            writer.restart()?;
+            work.clear()?;
+            read(source, (&work, output), options, tuning, &mut phases, monitor)?
+        }
+    };
+    let mut build = Build::new(&mesh, options, tuning, writer, monitor);
+    build.check_memory()?;
+    build.run(stage, state, &work, &mut phases)?;
     phases.begin("stitch");
     let mut report = build.finish(output)?;
     report.phases = phases.finish();
     Ok(report)
 }
 
+/// The triangles of a mesh, ready to be built, and all else that is needed of it.
+struct Triangles<'w> {
+    mesh: Mesh,
+    stage: Stage<'w>,
+    /// What to note of the build, if it can be taken up.
+    state: Option<State>,
+}
+
+/// What is still needed of the source.
+struct Mesh {
+    layout: Layout,
+    tally: Tally,
+    /// Different points, about.
+    points: u64,
+    materials: Vec<crate::mesh::MaterialInfo>,
+    vertices: u64,
+    triangles: u64,
+    root: RootCube,
+}
+
+/// How far the triangles are.
+enum Stage<'w> {
+    /// In the source's order, perhaps counted.
+    Joined(Spool<'w>, Option<Grid>),
+    /// Sorted into chunks, some of which may be written.
+    Sorted(Spool<'w>, Vec<Chunk>),
+}
+
+/// Reads the source and joins its faces.
+fn read<'w>(
+    source: &mut dyn TriangleSource,
+    (work, output): (&'w WorkFolder, &Path),
+    options: &BuildOptions,
+    tuning: &Tuning,
+    phases: &mut Phases<'_>,
+    monitor: Monitor<'_>,
+) -> Result<Triangles<'w>> {
+    check_before(source.size_hint(), options.memory, work.temp(), monitor)?;
+    phases.begin("scan");
+    let mut scan = scan(source, work, tuning, monitor)?;
+    let mut tuning = *tuning;
+    if scan.is_spilled() {
+        // Memory goes to windows on the tables.
+        scan.faces.spill()?;
+        tuning.record_words = 0;
+    }
+    let records = scan.faces.triangles() * 4 * scan.layout().words() as u64;
+    if records > 4 * tuning.record_words as u64 {
+        check_after(records, scan.faces.triangles(), work.temp(), output)?;
+    }
+    phases.begin("join");
+    let guess = Placement { root: RootCube::around(scan.bounds), split: options.split };
+    let mut grid = scan.counts_ahead(options, &tuning).then(|| Grid::new(CellCode::ROOT, tuning.first_grid(options)));
+    let joined = join(&scan, work, &tuning, grid.as_mut().map(|grid| (grid, guess)), monitor)?;
+    check_joined(&joined.tally, options, monitor)?;
+    let root = RootCube::around(joined.tally.bounds);
+    let mesh = Mesh {
+        layout: joined.layout,
+        tally: joined.tally,
+        points: joined.points,
+        vertices: scan.positions.len(),
+        triangles: scan.faces.triangles(),
+        materials: std::mem::take(&mut scan.info.materials),
+        root,
+    };
+    // A state of very many materials would be large itself.
+    let noted = joined.records.memory().is_none() && mesh.materials.len() <= 1 << 16;
+    let state = if noted { State::new(options, mesh.state(joined.records.len())) } else { None };
+    state.as_ref().map_or(Ok(()), |state| state.save(work))?;
+    Ok(Triangles { mesh, stage: Stage::Joined(joined.records, grid.filter(|_| root == guess.root)), state })
+}
+
+/// What a killed build left, if it is whole.
+fn taken_up<'w>(work: &'w WorkFolder, options: &BuildOptions) -> Option<Triangles<'w>> {
+    let state = State::load(work, options)?;
+    let stage = match &state.chunks {
+        Some(chunks) => {
+            let end = chunks.iter().map(ChunkState::end).max().unwrap_or(0);
+            let chunks = chunks.iter().map(ChunkState::chunk).collect();
+            Stage::Sorted(Spool::reopen(work, "chunks0", end)?, chunks)
+        }
+        None => Stage::Joined(Spool::reopen(work, "records", state.joined.record_words)?, None),
+    };
+    let mesh = Mesh::of(&state.joined);
+    Some(Triangles { mesh, stage, state: Some(state) })
+}
+
+impl Mesh {
+    fn state(&self, record_words: u64) -> JoinedState {
+        let numbers = [self.points, self.vertices, self.triangles, record_words];
+        JoinedState::new(&self.tally, self.layout, numbers, &self.materials)
+    }
+
+    fn of(state: &JoinedState) -> Mesh {
+        let tally = state.tally();
+        Mesh {
+            layout: state.layout(),
+            tally,
+            points: state.points,
+            materials: state.materials(),
+            vertices: state.vertices,
+            triangles: state.triangles,
+            root: RootCube::around(tally.bounds),
+        }
+    }
+}
+
 /// Says what the join dropped or could not do well; fails if nothing is left.
-fn check_joined(joined: &Joined, options: &BuildOptions, monitor: Monitor<'_>) -> Result<()> {
-    let (tally, dropped) = (&joined.tally, joined.tally.dropped);
+fn check_joined(tally: &Tally, options: &BuildOptions, monitor: Monitor<'_>) -> Result<()> {
+    let dropped = tally.dropped;
     if tally.kept == 0 {
         let mut what = String::from("holds no triangles");
         if dropped != Default::default() {
@@ -94,40 +208,23 @@ fn check_joined(joined: &Joined, options: &BuildOptions, monitor: Monitor<'_>) -
     warn_if_merged(tally, options, monitor);
     if tally.polygons.fanned > 0 {
         monitor.warn(format!(
-            "{} concave faces have more than {CLIP_LIMIT} corners and were cut as fans, which may overlap",
+            "{} faces have more than {CLIP_LIMIT} corners and were cut as fans, which overlap where a face is concave",
             tally.polygons.fanned
         ));
     }
     Ok(())
 }
 
-/// What is still needed of the scan after the join: positions and faces are gone.
-struct Source {
-    texcoords: super::blocks::Blocks<[f32; 2]>,
-    normals: super::blocks::Blocks<[f32; 3]>,
-    materials: Vec<crate::mesh::MaterialInfo>,
-    vertices: u64,
-    triangles: u64,
-    root: RootCube,
-}
-
-impl Source {
-    fn of(scan: Scan, joined: &Joined) -> Source {
-        Source {
-            vertices: scan.positions.len() as u64,
-            triangles: scan.faces.triangles(),
-            texcoords: scan.texcoords,
-            normals: scan.normals,
-            materials: scan.info.materials,
-            root: RootCube::around(joined.tally.bounds),
-        }
-    }
-}
+/// Bytes held of each page until the end, its share of the top tree included.
+const PAGE_BYTES: u64 = 320;
+/// Times as much as others that a strict brick takes: its triangles repeat.
+const STRICT_BRICK: u64 = 6;
 
 /// A file being built, from the join on.
 struct Build<'a> {
-    source: &'a Source,
+    mesh: &'a Mesh,
     options: &'a BuildOptions,
+    tuning: &'a Tuning,
     monitor: Monitor<'a>,
     layout: Layout,
     bricks: BrickBuilder<'a>,
@@ -137,21 +234,22 @@ struct Build<'a> {
     tops: Vec<TopBrick>,
     depths: Vec<u32>,
     report: BuildReport,
-    bounds: crate::geometry::Aabb,
     attributes: u32,
+    /// Entries of the pages, noted chunk by chunk.
+    log: Option<PageLog>,
 }
 
 impl<'a> Build<'a> {
     fn new(
-        source: &'a Source,
-        joined: &Joined,
+        mesh: &'a Mesh,
         options: &'a BuildOptions,
+        tuning: &'a Tuning,
         writer: OctWriter,
         monitor: Monitor<'a>,
     ) -> Self {
-        let (tally, layout, root) = (joined.tally, joined.layout, source.root);
+        let Mesh { tally, layout, root, .. } = *mesh;
         // Where few vertices are shared, 16 triangles have more than 16 of them.
-        let shares_few = joined.used_vertices as f64 > 0.75 * tally.kept as f64;
+        let shares_few = mesh.points as f64 > 0.75 * tally.kept as f64;
         let placement = Placement { root, split: options.split };
         Build {
             bricks: BrickBuilder {
@@ -159,117 +257,206 @@ impl<'a> Build<'a> {
                 layout,
                 root,
                 unit: if shares_few { LeafUnit::B32 } else { LeafUnit::B16 },
-                wide_materials: source.materials.len() > usize::from(u16::MAX),
-                normals: &source.normals,
-                texcoords: &source.texcoords,
+                wide_materials: mesh.materials.len() > usize::from(u16::MAX),
             },
             rule: BrickRule { placement, limit: options.brick_limit(tally.kept), depth: options.depth.into() },
             report: BuildReport {
                 triangles: tally.kept,
-                source_triangles: source.triangles,
-                vertices: source.vertices,
+                source_triangles: mesh.triangles,
+                vertices: mesh.vertices,
                 dropped: tally.dropped,
                 polygons: tally.polygons,
                 merged: tally.merged,
                 ..Default::default()
             },
-            bounds: tally.bounds,
             attributes: 0,
+            log: None,
             records: Vec::new(),
             tops: Vec::new(),
             depths: Vec::new(),
-            source,
+            mesh,
             options,
+            tuning,
             monitor,
             layout,
             writer,
         }
     }
 
+    /// Fails if a brick, or the records of all bricks, would not fit in the memory.
+    fn check_memory(&self) -> Result<()> {
+        let largest = u64::from(self.rule.limit).min(self.report.triangles);
+        let repeats = if self.rule.placement.repeats() { STRICT_BRICK } else { 1 };
+        // Alone, a brick may have the whole share of a chunk and of a wave, and its records too.
+        let needed = largest * (brick_bytes(self.layout) * repeats + 4 * self.layout.words() as u64 + 28);
+        let there = self.tuning.chunk_bytes + self.tuning.wave_bytes + self.tuning.wave_bytes / 2;
+        if needed <= there {
+            return Ok(());
+        }
+        let more = (self.options.memory + (needed - there) * 8 / 6).div_ceil(1 << 20);
+        Err(Error::Option(format!(
+            "a page of {largest} triangles cannot be built within the memory allowed; allow about {more} MiB, or take \
+             smaller pages (--brick)"
+        )))
+    }
+
     /// Sorts the records into chunks if there are more than one, and writes all pages.
-    fn run(&mut self, mut records: Spool, folder: &Path, tuning: &Tuning, phases: &mut Phases<'_>) -> Result<()> {
+    fn run(
+        &mut self,
+        stage: Stage<'_>,
+        state: Option<State>,
+        work: &WorkFolder,
+        phases: &mut Phases<'_>,
+    ) -> Result<()> {
         let sorting = Sorting {
-            folder,
-            tuning,
+            tuning: self.tuning,
             placement: self.rule.placement,
-            limit: tuning.chunk.max(self.rule.limit.into()),
+            limit: self.tuning.chunk(self.layout).max(self.rule.limit.into()),
             depth: self.rule.depth,
             monitor: self.monitor,
         };
-        let root = Unit { cell: CellCode::ROOT, triangles: self.report.triangles };
-        let extents = vec![Extent { at: 0, words: records.len() }];
-        let whole = Chunk { units: vec![root], extents };
-        if self.is_small(&whole, sorting) {
-            phases.begin("chunks");
-            return match records.memory() {
-                Some(words) => self.chunk(words, &whole.units),
-                None => self.load(&mut records, &whole),
-            };
-        }
-        let (mut spool, chunks) = self.sort(&mut records, &whole, sorting, phases)?;
-        drop(records);
+        let (spool, chunks, done) = match stage {
+            Stage::Joined(records, grid) => {
+                let root = Unit { cell: CellCode::ROOT, triangles: self.report.triangles };
+                let extents = vec![Extent { at: 0, words: records.len() }];
+                let whole = Chunk { units: vec![root], extents };
+                self.writer.restart()?;
+                if self.is_small(&whole, sorting) {
+                    drop((grid, state));
+                    phases.begin("chunks");
+                    return match records.memory() {
+                        Some(words) => self.chunk(words, &whole.units),
+                        None => self.load(&records, &whole),
+                    };
+                }
+                let (spool, chunks) = self.sort(&records, &whole, grid, sorting, (work, 0), phases)?;
+                if let Some(mut state) = state {
+                    state.chunks = Some(chunks.iter().map(ChunkState::of).collect());
+                    state.save(work)?;
+                    self.log = Some(PageLog::create(work)?);
+                }
+                (spool, chunks, 0)
+            }
+            Stage::Sorted(spool, chunks) => {
+                let done = self.take_up_pages(work)?;
+                (spool, chunks, done)
+            }
+        };
         phases.begin("chunks");
-        self.chunks(&mut spool, &chunks, sorting, phases)
+        self.chunks(&spool, &chunks, done, sorting, (work, 1), phases)
     }
 
-    /// Whether a chunk is to be taken into memory as it is: it is small, or cannot be divided.
+    /// Goes on with the pages that a killed build wrote: how many chunks they make.
+    fn take_up_pages(&mut self, work: &WorkFolder) -> Result<usize> {
+        if let Some((log, chunks, entries)) = PageLog::reopen(work)
+            && self.writer.resume(entries.iter().map(|entry| entry.record).collect())?
+        {
+            entries.iter().for_each(|entry| self.count(entry));
+            self.log = Some(log);
+            return Ok(chunks as usize);
+        }
+        self.writer.restart()?;
+        self.log = Some(PageLog::create(work)?);
+        Ok(0)
+    }
+
+    /// Whether a chunk is to be taken into memory as it is: it is small, or runs of units that are.
     fn is_small(&self, chunk: &Chunk, sorting: Sorting<'_>) -> bool {
-        chunk.triangles() <= sorting.limit || chunk.units.len() > 1 || chunk.units[0].cell.level >= self.rule.depth
+        chunk.triangles() <= sorting.limit || chunk.units.len() > 1
     }
 
-    /// Sorts an overfull chunk (of one cell) into smaller ones.
-    fn sort(
+    /// Sorts an overfull chunk (of one cell) into smaller ones. `place`: where the files go, and how deep this is.
+    fn sort<'w>(
         &self,
-        spool: &mut Spool,
+        spool: &Spool<'_>,
         chunk: &Chunk,
+        grid: Option<Grid>,
         sorting: Sorting<'_>,
+        (work, depth): (&'w WorkFolder, usize),
         phases: &mut Phases<'_>,
-    ) -> Result<(Spool, Vec<Chunk>)> {
+    ) -> Result<(Spool<'w>, Vec<Chunk>)> {
         let cell = chunk.units[0].cell;
-        let mut records = Records { spool, extents: &chunk.extents, layout: self.layout };
-        phases.begin("count");
-        let units = sorting.count(&mut records, cell)?;
+        let records = Records { spool, extents: &chunk.extents, layout: self.layout };
+        let grid = match grid {
+            Some(grid) => grid,
+            None => {
+                phases.begin("count");
+                sorting.count(records, cell)?
+            }
+        };
+        let units = grid.units(sorting.limit, sorting.placement);
         phases.begin("distribute");
-        sorting.distribute(&mut records, cell, &units)
+        sorting.distribute(records, cell, &units, Spool::new(work, format!("chunks{depth}"), 0))
     }
 
-    /// Writes the pages of all chunks; one that is still overfull is sorted again, below its own cell.
+    /// Writes the pages of all chunks but the first `done`; one that is still overfull is sorted again, below its own cell.
     fn chunks(
         &mut self,
-        spool: &mut Spool,
+        spool: &Spool<'_>,
         chunks: &[Chunk],
+        done: usize,
         sorting: Sorting<'_>,
+        (work, depth): (&WorkFolder, usize),
         phases: &mut Phases<'_>,
     ) -> Result<()> {
-        for chunk in chunks {
+        for (number, chunk) in chunks.iter().enumerate().skip(done) {
             if self.is_small(chunk, sorting) {
                 self.load(spool, chunk)?;
-                continue;
+            } else if chunk.units[0].cell.level >= self.rule.depth {
+                self.runs(spool, chunk)?;
+            } else {
+                let (spool, chunks) = self.sort(spool, chunk, None, sorting, (work, depth), phases)?;
+                phases.begin("chunks");
+                self.chunks(&spool, &chunks, 0, sorting, (work, depth + 1), phases)?;
             }
-            let (mut spool, chunks) = self.sort(spool, chunk, sorting, phases)?;
-            phases.begin("chunks");
-            self.chunks(&mut spool, &chunks, sorting, phases)?;
+            if let (1, Some(log)) = (depth, &mut self.log) {
+                self.writer.flush()?;
+                log.note(number as u64 + 1)?;
+            }
         }
         Ok(())
     }
 
-    fn load(&mut self, spool: &mut Spool, chunk: &Chunk) -> Result<()> {
+    fn load(&mut self, spool: &Spool<'_>, chunk: &Chunk) -> Result<()> {
         self.monitor.check()?;
         let words = Records { spool, extents: &chunk.extents, layout: self.layout }.load()?;
         self.chunk(&words, &chunk.units)
     }
 
+    /// Writes the pages of an overfull cell at the depth limit, which are runs of its triangles.
+    fn runs(&mut self, spool: &Spool<'_>, chunk: &Chunk) -> Result<()> {
+        let (cell, layout, limit) = (chunk.units[0].cell, self.layout, self.rule.limit as usize);
+        let run_words = limit * layout.words();
+        let mut held: Vec<u32> = Vec::new();
+        let build = |this: &mut Self, words: &[u32]| {
+            let records = (0..(words.len() / layout.words()) as u32).collect();
+            this.wave(&[BrickList { cell, records }], words)
+        };
+        let records = Records { spool, extents: &chunk.extents, layout };
+        records.pieces(self.tuning.piece.min(limit as u64), Monitor::silent(), |words| {
+            let fits = words.len().min(run_words - held.len());
+            held.extend_from_slice(&words[..fits]);
+            if held.len() == run_words {
+                build(self, &held)?;
+                held.clear();
+                held.extend_from_slice(&words[fits..]);
+            }
+            Ok(())
+        })?;
+        if held.is_empty() { Ok(()) } else { build(self, &held) }
+    }
+
     /// Writes the pages of a chunk in memory, built in parallel in waves of bounded size.
     fn chunk(&mut self, words: &[u32], units: &[Unit]) -> Result<()> {
-        const WAVE: usize = 1 << 19;
         let lists = bricks(words, self.layout, units, self.rule);
+        let most = self.tuning.wave(self.layout) as usize;
         let mut rest = &lists[..];
         while !rest.is_empty() {
             self.monitor.check()?;
             let mut sum = 0;
             let fits = |list: &&BrickList| {
                 sum += list.records.len();
-                sum <= WAVE
+                sum <= most
             };
             let wave = rest.iter().take_while(fits).count().max(1);
             self.wave(&rest[..wave], words)?;
@@ -286,7 +473,8 @@ impl<'a> Build<'a> {
             bricks.build(PageId(number), list, words)
         };
         let numbers = first..first + lists.len() as u32;
-        let built: Vec<BuiltBrick> = numbers.into_par_iter().zip(lists).map(build).collect::<Result<_>>()?;
+        let built: Vec<BuiltBrick> =
+            numbers.into_par_iter().zip(lists).with_max_len(1).map(build).collect::<Result<_>>()?;
         built.into_iter().try_for_each(|brick| self.append(brick))?;
         // In strict mode triangles repeat, so that this is only near enough for a bar.
         let done = self.report.references.min(self.report.triangles);
@@ -303,16 +491,49 @@ impl<'a> Build<'a> {
                 u32::MAX
             )));
         };
-        self.writer.append(&brick.page)?;
-        self.records.push(Brick { node: 0, first_reference, corner: brick.corner, unit: brick.unit });
-        self.tops.push(brick.top);
-        self.depths.push(brick.depth);
-        self.report.references += u64::from(brick.references);
-        self.report.nodes += brick.nodes;
-        self.report.leaves += u64::from(brick.leaves);
-        self.attributes |= if brick.normals { Flags::NORMALS } else { 0 };
-        self.attributes |= if brick.texcoords { Flags::TEXCOORDS } else { 0 };
+        if (self.records.len() + 1) as u64 * PAGE_BYTES > self.tuning.top_bytes {
+            return Err(Error::Option(format!(
+                "the directory of more than {} pages does not fit in the memory allowed; allow more, or take larger pages \
+                 (--brick)",
+                self.records.len()
+            )));
+        }
+        let page = match &brick.packed {
+            Some(packed) => self.writer.append_packed(&brick.page, packed)?,
+            None => self.writer.append(&brick.page)?,
+        };
+        let record = self.writer.records()[page.0 as usize];
+        let attributes =
+            if brick.normals { Flags::NORMALS } else { 0 } | if brick.texcoords { Flags::TEXCOORDS } else { 0 };
+        let entry = PageEntry {
+            bounds_root: brick.top.bounds_root,
+            nodes: brick.nodes,
+            record,
+            brick: Brick { node: 0, first_reference, corner: brick.corner, unit: brick.unit },
+            level: brick.top.cell.level,
+            index: brick.top.cell.index,
+            leaves: brick.leaves,
+            depth: brick.depth,
+            attributes,
+            zero: 0,
+        };
+        self.count(&entry);
+        if let Some(log) = &mut self.log {
+            log.push(entry);
+        }
         Ok(())
+    }
+
+    /// Takes a page that is written into account.
+    fn count(&mut self, entry: &PageEntry) {
+        let cell = Cell { level: entry.level, index: entry.index };
+        self.records.push(entry.brick);
+        self.tops.push(TopBrick { cell, bounds_root: entry.bounds_root });
+        self.depths.push(entry.depth);
+        self.report.references += u64::from(entry.record.references);
+        self.report.nodes += entry.nodes;
+        self.report.leaves += u64::from(entry.leaves);
+        self.attributes |= entry.attributes;
     }
 
     /// Writes the top and the header, and gives the file its name.
@@ -321,7 +542,7 @@ impl<'a> Build<'a> {
         let nodes = if self.tops.len() > 1 { build_top(&self.tops).0 } else { Vec::new() };
         let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         // Only named where some face has one: then the file has material numbers too.
-        let used: &[_] = if self.layout.materials { &self.source.materials } else { &[] };
+        let used: &[_] = if self.layout.materials { &self.mesh.materials } else { &[] };
         let (materials, strings) = materials(used, folder);
         let header = self.header(&nodes, materials.len());
         (self.report.nodes, self.report.depth) = (header.nodes, header.depth);
@@ -347,11 +568,11 @@ impl<'a> Build<'a> {
             top_nodes: top.len() as u32,
             materials: materials as u32,
             depth: self.depth(top),
-            root_corner: self.source.root.corner.to_array(),
+            root_corner: self.mesh.root.corner.to_array(),
             origin: self.options.origin,
-            root_log2_side: self.source.root.log2_side,
-            bounds_min: self.bounds.min.to_array(),
-            bounds_max: self.bounds.max.to_array(),
+            root_log2_side: self.mesh.root.log2_side,
+            bounds_min: self.mesh.tally.bounds.min.to_array(),
+            bounds_max: self.mesh.tally.bounds.max.to_array(),
             brick_limit: self.rule.limit,
             cell_limit: self.options.cell,
             dropped: report.dropped,
@@ -377,6 +598,7 @@ impl<'a> Build<'a> {
         let flag = |mask: u32, set: bool| if set { mask } else { 0 };
         Flags(
             self.attributes
+                | flag(Flags::PACKED, self.options.compress.is_some())
                 | flag(Flags::IDS, self.options.ids)
                 | flag(Flags::MATERIALS, self.layout.materials)
                 | flag(Flags::WIDE_MATERIALS, self.layout.materials && self.bricks.wide_materials)

@@ -5,7 +5,8 @@
 //! Toussaint 1993 for the bookkeeping): an ear is a corner that turns left and whose closed triangle the rest of the
 //! outline does not enter. Outlines that touch themselves, as holes joined by a double edge do, are cut without overlap;
 //! those that cross themselves have no right answer, but cutting ends, gives n - 2 triangles, and conserves the signed area.
-//! Beyond [`CLIP_LIMIT`] corners concave faces become fans, which may overlap.
+//! Faces of more than [`CLIP_LIMIT`] corners do not come here: they are made fans as they are read, and overlap where
+//! they are concave.
 
 use std::cmp::Ordering;
 
@@ -21,19 +22,14 @@ pub(super) enum Cut {
     Fan,
     /// Ear clipping.
     Clipped,
-    /// A fan, though the face is concave: it has more than [`CLIP_LIMIT`] corners.
-    TooLarge,
 }
 
-/// Cuts a face (3 corners or more, finite) and appends the triangles, as places in `corners`, to `out`.
+/// Cuts a face (3 to [`CLIP_LIMIT`] corners, finite) and appends the triangles, as places in `corners`, to `out`.
 pub(super) fn cut(corners: &[[f32; 3]], out: &mut Vec<[u32; 3]>) -> Cut {
     let outline = project(corners);
     if corners.len() == 3 || is_convex(&outline) {
         fan(corners.len(), out);
         Cut::Fan
-    } else if corners.len() > CLIP_LIMIT {
-        fan(corners.len(), out);
-        Cut::TooLarge
     } else {
         Clipper::new(&outline).run(out);
         Cut::Clipped
@@ -313,9 +309,6 @@ mod tests {
         covered_once(&spiral(64), Cut::Clipped);
         let points = spiral(CLIP_LIMIT);
         covered_once(&points, Cut::Clipped);
-        let (triangles, how, signed, _) = areas(&spiral(CLIP_LIMIT + 2));
-        assert_eq!((triangles.len(), how), (CLIP_LIMIT, Cut::TooLarge));
-        assert!(signed != 0.0);
     }
 
     proptest! {

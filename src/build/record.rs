@@ -7,9 +7,9 @@ use crate::geometry::Triangle;
 pub(super) struct Layout {
     /// A material number.
     pub materials: bool,
-    /// Three places in the source's normals.
+    /// Three normals.
     pub normals: bool,
-    /// Three places in the source's texture coordinates.
+    /// Three texture coordinates.
     pub texcoords: bool,
 }
 
@@ -20,10 +20,10 @@ pub(super) struct Record {
     pub id: u32,
     /// 0 = none.
     pub material: u32,
-    /// [`crate::mesh::NO_INDEX`] = none.
-    pub normals: [u32; 3],
-    /// [`crate::mesh::NO_INDEX`] = none.
-    pub texcoords: [u32; 3],
+    /// Not finite = none.
+    pub normals: [[f32; 3]; 3],
+    /// Not finite = none.
+    pub texcoords: [[f32; 2]; 3],
 }
 
 /// Words of the corners and the id.
@@ -32,7 +32,7 @@ const PLAIN: usize = 10;
 impl Layout {
     /// Words of a record.
     pub fn words(self) -> usize {
-        PLAIN + usize::from(self.materials) + 3 * usize::from(self.normals) + 3 * usize::from(self.texcoords)
+        PLAIN + usize::from(self.materials) + 9 * usize::from(self.normals) + 6 * usize::from(self.texcoords)
     }
 
     /// Appends a record.
@@ -43,10 +43,10 @@ impl Layout {
             out.push(record.material);
         }
         if self.normals {
-            out.extend(record.normals);
+            out.extend(record.normals.as_flattened().iter().map(|x| x.to_bits()));
         }
         if self.texcoords {
-            out.extend(record.texcoords);
+            out.extend(record.texcoords.as_flattened().iter().map(|x| x.to_bits()));
         }
     }
 
@@ -66,17 +66,22 @@ impl Layout {
         self.materials.then(|| record[PLAIN])
     }
 
-    /// The places of the corners' normals, if records hold them.
-    pub fn normals(self, record: &[u32]) -> Option<[u32; 3]> {
+    /// The corners' normals, if records hold them; not finite = none.
+    pub fn normals(self, record: &[u32]) -> Option<[[f32; 3]; 3]> {
         let at = PLAIN + usize::from(self.materials);
-        self.normals.then(|| [record[at], record[at + 1], record[at + 2]])
+        self.normals.then(|| corners(record, at))
     }
 
-    /// The places of the corners' texture coordinates, if records hold them.
-    pub fn texcoords(self, record: &[u32]) -> Option<[u32; 3]> {
-        let at = PLAIN + usize::from(self.materials) + 3 * usize::from(self.normals);
-        self.texcoords.then(|| [record[at], record[at + 1], record[at + 2]])
+    /// The corners' texture coordinates, if records hold them; not finite = none.
+    pub fn texcoords(self, record: &[u32]) -> Option<[[f32; 2]; 3]> {
+        let at = PLAIN + usize::from(self.materials) + 9 * usize::from(self.normals);
+        self.texcoords.then(|| corners(record, at))
     }
+}
+
+/// Three times `N` f32 from word `at` on.
+fn corners<const N: usize>(record: &[u32], at: usize) -> [[f32; N]; 3] {
+    std::array::from_fn(|corner| std::array::from_fn(|i| f32::from_bits(record[at + N * corner + i])))
 }
 
 #[cfg(test)]
@@ -91,8 +96,8 @@ mod tests {
                 corners: [[1.0, -0.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]],
                 id: 10,
                 material: 11,
-                normals: [12, 13, 14],
-                texcoords: [15, 16, 17],
+                normals: [[12.0, 13.0, 14.0], [15.0, -0.0, 17.0], [18.0, 19.0, 20.0]],
+                texcoords: [[21.0, 22.0], [23.0, 24.0], [25.0, -26.0]],
             };
             let mut words = vec![];
             layout.write(&record, &mut words);
@@ -101,8 +106,8 @@ mod tests {
             assert_eq!(triangle.vertices().map(|v| v.to_array()), record.corners);
             assert_eq!(layout.id(&words), 10);
             assert_eq!(layout.material(&words), layout.materials.then_some(11));
-            assert_eq!(layout.normals(&words), layout.normals.then_some([12, 13, 14]));
-            assert_eq!(layout.texcoords(&words), layout.texcoords.then_some([15, 16, 17]));
+            assert_eq!(layout.normals(&words), layout.normals.then_some(record.normals));
+            assert_eq!(layout.texcoords(&words), layout.texcoords.then_some(record.texcoords));
         }
     }
 }

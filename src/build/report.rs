@@ -10,7 +10,7 @@ pub struct Polygons {
     pub cut: u64,
     /// Of these concave ones, cut by ear clipping.
     pub clipped: u64,
-    /// Of these concave ones of more corners than ear clipping takes, cut as fans, which may overlap.
+    /// Of these, of more corners than ear clipping takes: cut as fans, which overlap where a face is concave.
     pub fanned: u64,
 }
 

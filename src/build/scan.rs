@@ -1,33 +1,71 @@
-//! The first phase: the source is read once; vertex data goes to memory, faces to a spool.
+//! The first phase: the source is read once; vertex data goes to tables, faces to blocks.
+
+use glam::Vec3;
 
 use crate::error::{Error, Result};
 use crate::event::Monitor;
+use crate::format::SplitMode;
+use crate::geometry::Aabb;
 use crate::mesh::{FaceBatch, MeshSink, SourceInfo, TriangleSource};
 
-use super::blocks::Blocks;
 use super::faces::Faces;
+use super::options::{BuildOptions, Tuning};
+use super::record::Layout;
+use super::spool::Spool;
+use super::table::{Kind, Table};
+use super::work::WorkFolder;
 
 /// All that the source sent.
-pub(super) struct Scan {
-    pub positions: Blocks<[f32; 3]>,
-    pub texcoords: Blocks<[f32; 2]>,
-    pub normals: Blocks<[f32; 3]>,
-    pub faces: Faces,
+pub(super) struct Scan<'a> {
+    pub positions: Table<'a, 3>,
+    pub texcoords: Table<'a, 2>,
+    pub normals: Table<'a, 3>,
+    pub faces: Faces<'a>,
     pub info: SourceInfo,
+    /// Of all vertices that are finite, used or not.
+    pub bounds: Aabb,
 }
 
-/// Reads the whole source; `faces` is where faces go.
-pub(super) fn scan(source: &mut dyn TriangleSource, faces: Faces, monitor: Monitor<'_>) -> Result<Scan> {
-    let mut sink = Sink {
-        scan: Scan {
-            positions: Blocks::new(),
-            texcoords: Blocks::new(),
-            normals: Blocks::new(),
-            faces,
-            info: SourceInfo::default(),
-        },
-        monitor,
+impl Scan<'_> {
+    /// What the records of its triangles hold.
+    pub fn layout(&self) -> Layout {
+        Layout {
+            materials: self.faces.has_materials && !self.info.materials.is_empty(),
+            normals: self.faces.has_normals,
+            texcoords: self.faces.has_texcoords,
+        }
+    }
+
+    /// Whether some of the vertex data is in a file.
+    pub fn is_spilled(&self) -> bool {
+        [&self.positions.spool, &self.texcoords.spool, &self.normals.spool].iter().any(|spool| spool.memory().is_none())
+    }
+
+    /// Whether triangles will have to be sorted into chunks, so that it pays to count them while they are joined.
+    pub fn counts_ahead(&self, options: &BuildOptions, tuning: &Tuning) -> bool {
+        // A record of any layout is at least as large as one without attributes.
+        let chunk = tuning.chunk(Layout::default()).max(options.brick_limit(self.faces.triangles()).into());
+        options.split != SplitMode::Strict && !self.bounds.is_empty() && self.faces.triangles() > chunk
+    }
+}
+
+/// Reads the whole source.
+pub(super) fn scan<'a>(
+    source: &mut dyn TriangleSource,
+    work: &'a WorkFolder,
+    tuning: &Tuning,
+    monitor: Monitor<'_>,
+) -> Result<Scan<'a>> {
+    let share = tuning.table_words;
+    let scan = Scan {
+        positions: Table::new(Spool::new(work, "positions", share), Kind::Position),
+        texcoords: Table::new(Spool::new(work, "texcoords", share), Kind::Texcoord),
+        normals: Table::new(Spool::new(work, "normals", share), Kind::Normal),
+        faces: Faces::new(Spool::new(work, "faces", tuning.face_words), tuning.block_corners),
+        info: SourceInfo::default(),
+        bounds: Aabb::EMPTY,
     };
+    let mut sink = Sink { scan, share, monitor };
     let info = source.read(&mut sink, monitor)?;
     let mut scan = sink.scan;
     scan.faces.flush()?;
@@ -35,22 +73,46 @@ pub(super) fn scan(source: &mut dyn TriangleSource, faces: Faces, monitor: Monit
     Ok(scan)
 }
 
-struct Sink<'a> {
-    scan: Scan,
-    monitor: Monitor<'a>,
+struct Sink<'a, 'm> {
+    scan: Scan<'a>,
+    /// Words of all tables in memory together.
+    share: usize,
+    monitor: Monitor<'m>,
 }
 
-impl MeshSink for Sink<'_> {
+impl Sink<'_, '_> {
+    /// Moves tables to files, the largest first, until the others fit their share of memory.
+    fn make_room(&mut self) -> Result<()> {
+        let Scan { positions, texcoords, normals, .. } = &mut self.scan;
+        loop {
+            let spools = [&mut positions.spool, &mut texcoords.spool, &mut normals.spool];
+            let held = spools.each_ref().map(|spool| spool.memory().map_or(0, <[u32]>::len));
+            if held.iter().sum::<usize>() <= self.share {
+                return Ok(());
+            }
+            if let Some((_, largest)) = held.iter().zip(spools).max_by_key(|(held, _)| **held) {
+                largest.spill()?;
+            }
+        }
+    }
+}
+
+impl MeshSink for Sink<'_, '_> {
     fn positions(&mut self, positions: &[[f32; 3]]) -> Result<()> {
-        append(&mut self.scan.positions, positions, self.monitor, "vertices")
+        let finite = positions.iter().map(|&p| Vec3::from(p)).filter(|p| p.is_finite());
+        self.scan.bounds = self.scan.bounds.union(Aabb::around(finite));
+        append(&mut self.scan.positions, positions, self.monitor, "vertices")?;
+        self.make_room()
     }
 
     fn texcoords(&mut self, texcoords: &[[f32; 2]]) -> Result<()> {
-        append(&mut self.scan.texcoords, texcoords, self.monitor, "texture coordinates")
+        append(&mut self.scan.texcoords, texcoords, self.monitor, "texture coordinates")?;
+        self.make_room()
     }
 
     fn normals(&mut self, normals: &[[f32; 3]]) -> Result<()> {
-        append(&mut self.scan.normals, normals, self.monitor, "normals")
+        append(&mut self.scan.normals, normals, self.monitor, "normals")?;
+        self.make_room()
     }
 
     fn faces(&mut self, faces: &FaceBatch) -> Result<()> {
@@ -59,12 +121,11 @@ impl MeshSink for Sink<'_> {
     }
 }
 
-fn append<T: Copy>(to: &mut Blocks<T>, items: &[T], monitor: Monitor<'_>, what: &str) -> Result<()> {
+fn append<const N: usize>(to: &mut Table<'_, N>, items: &[[f32; N]], monitor: Monitor<'_>, what: &str) -> Result<()> {
     monitor.check()?;
     // The last number is taken: it means "none".
-    if to.len() + items.len() > u32::MAX as usize {
+    if to.len() + items.len() as u64 > u64::from(u32::MAX) {
         return Err(Error::Option(format!("the mesh has more than {} {what}, which is the limit", u32::MAX)));
     }
-    to.extend(items);
-    Ok(())
+    to.append(items)
 }

@@ -1,27 +1,43 @@
-//! Temporary words: in memory while they are few, then in a file without a name.
+//! Temporary words: in memory while they are few, then in a file of the work folder.
 //!
-//! The file is unlinked as soon as it is made (where the system allows that), so that nothing of it stays behind however
-//! the process ends. All reads and writes are meant to be large; there is no buffer in between.
+//! All reads and writes are meant to be large; there is no buffer in between. Reading needs no exclusive access, so that
+//! threads may read side by side.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom, Write};
-use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 
+use super::words::Words;
+use super::work::WorkFolder;
+
 /// An append-only store of `u32` words that can be read at any place.
-pub(super) struct Spool {
-    folder: PathBuf,
+pub(super) struct Spool<'a> {
+    work: &'a WorkFolder,
+    name: String,
     limit: usize,
-    memory: Vec<u32>,
+    memory: Words,
     file: Option<File>,
     words: u64,
 }
 
-impl Spool {
-    /// An empty spool that keeps up to `limit` words in memory, and more than that in a file in `folder`.
-    pub fn new(folder: &Path, limit: usize) -> Spool {
-        Spool { folder: folder.to_owned(), limit, memory: Vec::new(), file: None, words: 0 }
+impl<'a> Spool<'a> {
+    /// An empty spool that keeps up to `limit` words in memory, and more than that in a file of that name.
+    pub fn new(work: &'a WorkFolder, name: impl Into<String>, limit: usize) -> Spool<'a> {
+        Spool { work, name: name.into(), limit, memory: Words::default(), file: None, words: 0 }
+    }
+
+    /// The spool of that name which an earlier build left, if it holds at least `words`.
+    pub fn reopen(work: &'a WorkFolder, name: &str, words: u64) -> Option<Spool<'a>> {
+        let file = work.reopen(name).ok()?;
+        let whole = file.metadata().ok()?.len() >= 4 * words;
+        let mut spool = Spool::new(work, name, 0);
+        (spool.file, spool.words) = (Some(file), words);
+        whole.then_some(spool)
+    }
+
+    /// An empty one in the same folder, whose name says `what` of this it holds, and that keeps nothing in memory.
+    pub fn beside(&self, what: &str) -> Spool<'a> {
+        Spool::new(self.work, format!("{}-{what}", self.name), 0)
     }
 
     /// Words in it.
@@ -31,54 +47,85 @@ impl Spool {
 
     /// All words, if they are in memory.
     pub fn memory(&self) -> Option<&[u32]> {
-        self.file.is_none().then_some(&self.memory)
+        self.file.is_none().then(|| &self.memory[..self.words as usize])
     }
 
     pub fn append(&mut self, words: &[u32]) -> Result<()> {
-        if self.file.is_none() && self.memory.len() + words.len() > self.limit {
+        let len = self.words as usize;
+        if self.file.is_none() && len + words.len() > self.limit {
             self.spill()?;
         }
-        match &mut self.file {
-            None => self.memory.extend_from_slice(words),
-            Some(file) => write(file, self.words, words).map_err(Error::io(&self.folder, WRITE))?,
+        if let Some(file) = &self.file {
+            write_at(file, 4 * self.words, bytemuck::cast_slice(words)).map_err(self.failed(WRITE))?;
+        } else if !words.is_empty() {
+            if self.memory.is_empty() {
+                self.memory = Words::zeroed(self.limit)?;
+            }
+            self.memory[len..len + words.len()].copy_from_slice(words);
         }
         self.words += words.len() as u64;
         Ok(())
     }
 
     /// Fills `words` with those from `at` on, which must have been written.
-    pub fn read(&mut self, at: u64, words: &mut [u32]) -> Result<()> {
-        match &mut self.file {
+    pub fn read(&self, at: u64, words: &mut [u32]) -> Result<()> {
+        match &self.file {
             None => words.copy_from_slice(&self.memory[at as usize..at as usize + words.len()]),
-            Some(file) => read(file, at, words).map_err(Error::io(&self.folder, "read a temporary file in"))?,
+            Some(file) => read_at(file, 4 * at, bytemuck::cast_slice_mut(words)).map_err(self.failed(READ))?,
         }
         Ok(())
     }
 
-    fn spill(&mut self) -> Result<()> {
-        let mut file = temporary(&self.folder)?;
-        write(&mut file, 0, &self.memory).map_err(Error::io(&self.folder, WRITE))?;
-        self.memory = Vec::new();
-        self.file = Some(file);
+    /// Moves what is in memory to the file, where all that follows goes too.
+    pub fn spill(&mut self) -> Result<()> {
+        if self.file.is_none() {
+            let file = self.work.create(&self.name)?;
+            let words = &self.memory[..self.words as usize];
+            write_at(&file, 0, bytemuck::cast_slice(words)).map_err(self.failed(WRITE))?;
+            self.memory = Words::default();
+            self.file = Some(file);
+        }
         Ok(())
+    }
+
+    fn failed(&self, doing: &'static str) -> impl FnOnce(std::io::Error) -> Error + use<> {
+        Error::io(self.work.path().join(&self.name), doing)
     }
 }
 
-const WRITE: &str = "write a temporary file in";
-
-/// A nameless file in `folder`; also the test whether temporary files can be made there.
-pub(super) fn temporary(folder: &Path) -> Result<File> {
-    tempfile::tempfile_in(folder).map_err(Error::io(folder, "create a temporary file in this folder"))
+impl Drop for Spool<'_> {
+    fn drop(&mut self) {
+        if self.file.is_some() {
+            self.work.remove(&self.name);
+        }
+    }
 }
 
-fn write(file: &mut File, at: u64, words: &[u32]) -> std::io::Result<()> {
-    file.seek(SeekFrom::Start(4 * at))?;
-    file.write_all(bytemuck::cast_slice(words))
+const WRITE: &str = "write this temporary file";
+const READ: &str = "read this temporary file";
+
+#[cfg(unix)]
+pub(super) fn write_at(file: &File, at: u64, bytes: &[u8]) -> std::io::Result<()> {
+    std::os::unix::fs::FileExt::write_all_at(file, bytes, at)
 }
 
-fn read(file: &mut File, at: u64, words: &mut [u32]) -> std::io::Result<()> {
-    file.seek(SeekFrom::Start(4 * at))?;
-    file.read_exact(bytemuck::cast_slice_mut(words))
+#[cfg(unix)]
+fn read_at(file: &File, at: u64, bytes: &mut [u8]) -> std::io::Result<()> {
+    std::os::unix::fs::FileExt::read_exact_at(file, bytes, at)
+}
+
+#[cfg(not(unix))]
+pub(super) fn write_at(mut file: &File, at: u64, bytes: &[u8]) -> std::io::Result<()> {
+    use std::io::{Seek, SeekFrom, Write};
+    file.seek(SeekFrom::Start(at))?;
+    file.write_all(bytes)
+}
+
+#[cfg(not(unix))]
+fn read_at(mut file: &File, at: u64, bytes: &mut [u8]) -> std::io::Result<()> {
+    use std::io::{Read, Seek, SeekFrom};
+    file.seek(SeekFrom::Start(at))?;
+    file.read_exact(bytes)
 }
 
 #[cfg(test)]
@@ -88,8 +135,9 @@ mod tests {
     #[test]
     fn reads_back_from_memory_and_from_the_file() {
         let folder = tempfile::tempdir().unwrap();
+        let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
         for limit in [1000, 10] {
-            let mut spool = Spool::new(folder.path(), limit);
+            let mut spool = Spool::new(&work, "words", limit);
             for piece in (0..100u32).collect::<Vec<_>>().chunks(7) {
                 spool.append(piece).unwrap();
             }
@@ -99,15 +147,9 @@ mod tests {
             spool.append(&[7]).unwrap();
             spool.read(98, &mut words[..3]).unwrap();
             assert_eq!(words[..3], [98, 99, 7]);
-            assert_eq!(spool.memory().is_some(), limit == 1000);
-            assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+            assert_eq!(spool.memory().map(<[u32]>::len), (limit == 1000).then_some(101));
+            drop(spool);
+            assert!(work.reopen("words").is_err());
         }
-    }
-
-    #[test]
-    fn names_the_folder_that_is_not_there() {
-        let mut spool = Spool::new(Path::new("/no/such/folder"), 0);
-        let message = spool.append(&[1]).unwrap_err().to_string();
-        assert!(message.starts_with("/no/such/folder: cannot create a temporary file in"), "{message}");
     }
 }

@@ -121,9 +121,25 @@ fn expected(mesh: &Memory) -> Vec<Stored> {
     corners.chunks(3).enumerate().map(stored).collect()
 }
 
-/// Sizes so small that everything spills, and chunks are divided again and again.
-const TINY: Tuning =
-    Tuning { block_corners: 50, face_words: 100, record_words: 200, chunk: 60, grid_levels: 2, buffer_words: 300 };
+/// Sizes so small that everything spills, is read through windows or answered, and chunks are divided again and again.
+const TINY: Tuning = Tuning {
+    block_corners: 50,
+    table_words: 0,
+    window_words: 300,
+    face_words: 100,
+    record_words: 200,
+    piece: 100,
+    chunk_bytes: 60 * 68,
+    wave_bytes: 1 << 30,
+    grid_levels: 2,
+    buffer_words: 300,
+    top_bytes: 1 << 30,
+};
+
+/// Sizes of a build that has room.
+fn roomy() -> Tuning {
+    Tuning::within(1 << 30, 2)
+}
 
 fn options(split: SplitMode, brick: u32) -> BuildOptions {
     BuildOptions { split, brick: Some(brick), ..Default::default() }
@@ -133,12 +149,12 @@ fn options(split: SplitMode, brick: u32) -> BuildOptions {
 fn every_triangle_comes_back() {
     let mesh = sheet(20);
     for (split, brick) in [(SplitMode::Sah, 1000), (SplitMode::Sah, 50), (SplitMode::Octree, 50)] {
-        let (report, stored, _) = round_trip(&mesh, &options(split, brick), &Tuning::default());
+        let (report, stored, _) = round_trip(&mesh, &options(split, brick), &roomy());
         assert_eq!((report.triangles, report.references, report.vertices), (800, 800, 441));
         assert_eq!(report.pages > 1, brick == 50);
         assert_eq!(stored, expected(&mesh));
     }
-    let (report, mut stored, _) = round_trip(&mesh, &options(SplitMode::Strict, 50), &Tuning::default());
+    let (report, mut stored, _) = round_trip(&mesh, &options(SplitMode::Strict, 50), &roomy());
     assert!(report.references > 800 && stored.len() as u64 == report.references);
     stored.dedup();
     assert_eq!(stored, expected(&mesh));
@@ -150,7 +166,7 @@ fn chunks_and_threads_do_not_change_the_bytes() {
     for split in [SplitMode::Sah, SplitMode::Octree, SplitMode::Strict] {
         for depth in [21, 3] {
             let options = BuildOptions { depth, ..options(split, 40) };
-            let (report, _, bytes) = round_trip(&mesh, &options, &Tuning::default());
+            let (report, _, bytes) = round_trip(&mesh, &options, &roomy());
             assert!(report.pages > 10);
             for threads in [1, 2] {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
@@ -168,7 +184,7 @@ fn a_heap_of_equal_triangles_ends_at_the_depth_limit() {
     mesh.batches = vec![mesh.batches[0].clone(); 200];
     let (report, stored, bytes) = round_trip(&mesh, &options(SplitMode::Sah, 16), &TINY);
     assert_eq!((report.triangles, stored.len()), (400, 400));
-    assert!(bytes == round_trip(&mesh, &options(SplitMode::Sah, 16), &Tuning::default()).2);
+    assert!(bytes == round_trip(&mesh, &options(SplitMode::Sah, 16), &roomy()).2);
 }
 
 #[test]
@@ -193,7 +209,7 @@ fn what_is_dropped_is_counted_and_uses_up_its_ids() {
         info: SourceInfo { too_few_corners: 3, bad_index: 2, ..Default::default() },
         ..Default::default()
     };
-    let (report, stored, _) = round_trip(&mesh, &BuildOptions::default(), &Tuning::default());
+    let (report, stored, _) = round_trip(&mesh, &BuildOptions::default(), &roomy());
     let dropped = Dropped { degenerate: 2, non_finite: 2, bad_index: 5, too_few_corners: 3 };
     assert_eq!((report.dropped, report.triangles, report.source_triangles), (dropped, 5, 14));
     assert_eq!(stored.iter().map(|s| s.face).collect::<Vec<_>>(), [0, 1, 11, 12, 13]);
@@ -237,7 +253,7 @@ fn attributes_and_materials_come_back() {
     for (number, stored) in expected.iter_mut().enumerate() {
         (stored.material, stored.normals, stored.texcoords) = row(&mesh.batches[number / 16], number % 16);
     }
-    for tuning in [Tuning::default(), TINY] {
+    for tuning in [roomy(), TINY] {
         let (_, stored, bytes) = round_trip(&mesh, &options(SplitMode::Sah, 30), &tuning);
         assert_eq!(stored, expected);
         let folder = tempfile::tempdir().unwrap();
@@ -252,7 +268,7 @@ fn attributes_and_materials_come_back() {
 #[test]
 fn without_ids_the_storage_number_stands_in() {
     let options = BuildOptions { ids: false, ..options(SplitMode::Sah, 40) };
-    let (_, stored, _) = round_trip(&sheet(10), &options, &Tuning::default());
+    let (_, stored, _) = round_trip(&sheet(10), &options, &roomy());
     assert!(stored.iter().map(|s| s.face).eq(0..200));
 }
 
@@ -290,7 +306,7 @@ fn folders_that_are_not_there_are_named() {
     let missing = folder.path().join("missing");
     let temp = BuildOptions { temp: Some(missing.clone()), ..Default::default() };
     for (place, options) in [(missing.as_path(), BuildOptions::default()), (folder.path(), temp)] {
-        let error = build_in(place, &sheet(2), &options, &Tuning::default()).unwrap_err();
+        let error = build_in(place, &sheet(2), &options, &roomy()).unwrap_err();
         assert!(error.to_string().contains("missing") && error.kind() == crate::Kind::Machine, "{error}");
     }
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
@@ -301,9 +317,9 @@ fn nothing_to_build_is_an_error_that_says_why() {
     let folder = tempfile::tempdir().unwrap();
     let mut mesh = sheet(1);
     mesh.positions.iter_mut().for_each(|p| *p = [p[0], 0.0, 0.0]);
-    let error = build_in(folder.path(), &mesh, &BuildOptions::default(), &Tuning::default()).unwrap_err();
+    let error = build_in(folder.path(), &mesh, &BuildOptions::default(), &roomy()).unwrap_err();
     assert!(error.to_string().contains("holds no triangles that can be hit (dropped: 2 of zero area"), "{error}");
-    let error = build_in(folder.path(), &Memory::default(), &BuildOptions::default(), &Tuning::default()).unwrap_err();
+    let error = build_in(folder.path(), &Memory::default(), &BuildOptions::default(), &roomy()).unwrap_err();
     assert_eq!(error.to_string(), "the mesh: holds no triangles");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
@@ -320,7 +336,7 @@ fn options_out_of_range_are_refused() {
         BuildOptions { brick: Some(0), ..default() },
         BuildOptions { origin: [f64::NAN, 0.0, 0.0], ..default() },
     ] {
-        let error = build_in(folder.path(), &sheet(1), &wrong, &Tuning::default()).unwrap_err();
+        let error = build_in(folder.path(), &sheet(1), &wrong, &roomy()).unwrap_err();
         assert!(matches!(error, Error::Option(_)), "{wrong:?}");
     }
 }
@@ -405,7 +421,7 @@ proptest! {
         expected.retain(|s| !crate::exact::exactly_degenerate(&s.corners.map(|c| c.map(f32::from_bits)).into()));
         prop_assume!(!expected.is_empty());
         let options = BuildOptions { depth: 6, ..options(split, brick) };
-        let (report, mut stored, bytes) = round_trip(&mesh, &options, &Tuning::default());
+        let (report, mut stored, bytes) = round_trip(&mesh, &options, &roomy());
         stored.dedup();
         prop_assert_eq!(stored, expected);
         prop_assert_eq!(report.dropped.degenerate + report.triangles, report.source_triangles);

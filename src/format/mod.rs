@@ -8,7 +8,9 @@ mod header;
 mod leaf;
 mod material;
 mod node;
+mod pack;
 mod page;
+mod part;
 #[cfg(test)]
 mod spec_test;
 mod validate;
@@ -20,6 +22,7 @@ pub use header::{Dropped, Flags, HEADER_BYTES, Header, MAGIC, Section, SectionKi
 pub use leaf::{Coding, LEAF_MAX, Leaf, LeafUnit, encode_leaf};
 pub use material::MaterialRecord;
 pub use node::{DEPTH_MAX, Frame, Node, Slot};
+pub use pack::{pack, unpack};
 pub use page::{Brick, LEAF_PADDING, PAGE_HEADER_BYTES, PageHeader, PageId, PageRecord, SideArrays};
 pub use validate::validate_page;
 pub(crate) use validate_top::string_at;

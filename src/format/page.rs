@@ -82,9 +82,9 @@ pub const LEAF_PADDING: usize = 64;
 pub const LARGE_PAGE: u32 = 16384;
 
 impl PageRecord {
-    /// The multiple on which a page of that many references lies in the file.
-    pub fn alignment(references: u32) -> u64 {
-        if references >= LARGE_PAGE { 4096 } else { 64 }
+    /// The multiple on which a page of that many references lies in the file, which may be packed.
+    pub fn alignment(references: u32, packed: bool) -> u64 {
+        if references >= LARGE_PAGE && !packed { 4096 } else { 64 }
     }
 }
 

@@ -77,9 +77,6 @@ fn check_flags(flags: Flags) -> Result<(), Refusal> {
         );
         return Err(Refusal::Foreign(what));
     }
-    if flags.has(Flags::PACKED) {
-        return Err(Refusal::Foreign("a packed octree file, which this program cannot unpack; build it again".into()));
-    }
     let pairs = [(Flags::WIDE_MATERIALS, Flags::MATERIALS, 3, 2), (Flags::REPEATS, Flags::IDS, 7, 1)];
     match pairs.iter().find(|(flag, needs, ..)| flags.has(*flag) && !flags.has(*needs)) {
         Some((_, _, bit, needs)) => Err(Refusal::Damaged(format!("flag bit {bit} is set without bit {needs}"))),
@@ -186,17 +183,23 @@ pub fn validate_top(header: &Header, top: &TopView<'_>) -> Result<(), String> {
 fn validate_records(header: &Header, top: &TopView<'_>) -> Result<(), String> {
     let mut end = HEADER_BYTES as u64;
     for (i, r) in top.records.iter().enumerate() {
-        if r.zero != 0 || r.stored_bytes != r.bytes || !r.bytes.is_multiple_of(64) || r.bytes < 256 {
+        let packed = header.flags.has(Flags::PACKED);
+        if r.zero != 0
+            || (r.stored_bytes != r.bytes && !packed)
+            || r.stored_bytes == 0
+            || !r.bytes.is_multiple_of(64)
+            || r.bytes < 256
+        {
             return Err(format!("record of page {i}: the lengths break a rule"));
         }
         // The fullest leaf has 16 references in 48 bytes.
         if r.references == 0 || r.references > r.bytes / 3 {
             return Err(format!("record of page {i}: the references cannot be that many"));
         }
-        if r.offset != end.next_multiple_of(PageRecord::alignment(r.references)) {
+        if r.offset != end.next_multiple_of(PageRecord::alignment(r.references, packed)) {
             return Err(format!("page {i} does not lie where it should"));
         }
-        end = r.offset + u64::from(r.bytes);
+        end = r.offset + u64::from(r.stored_bytes);
         if end > header.file_bytes {
             return Err(format!("page {i} reaches beyond the end of the file"));
         }
@@ -212,7 +215,8 @@ fn validate_records(header: &Header, top: &TopView<'_>) -> Result<(), String> {
 fn validate_bricks(header: &Header, top: &TopView<'_>) -> Result<(), String> {
     let mut first = 0u64;
     for (i, (brick, record)) in top.bricks.iter().zip(top.records).enumerate() {
-        if u64::from(brick.node) != record.offset / 64 + 1 {
+        let place = if header.flags.has(Flags::PACKED) { 0 } else { record.offset / 64 + 1 };
+        if u64::from(brick.node) != place {
             return Err(format!("brick {i} does not name its page's first node"));
         }
         if u64::from(brick.first_reference) != first {

@@ -1,17 +1,17 @@
 //! Writes an octree file page by page: to a temporary name, synced, then renamed.
 //!
-//! A killed build therefore leaves nothing that looks whole, and a failed one leaves an older file as it was. Only the page
-//! records are held in memory (32 bytes a page); pages go out as they come.
+//! A killed build therefore leaves nothing that looks whole, and a failed one leaves an older file as it was. What a killed
+//! one leaves can be taken up again ([`OctWriter::resume`]). Only the page records are held in memory (32 bytes a page);
+//! pages go out as they come.
 
 use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use tempfile::NamedTempFile;
-
+use super::part::{Part, folder};
 use super::{
-    Brick, HEADER_BYTES, Header, MAGIC, MaterialRecord, Node, PageHeader, PageId, PageRecord, Section, SectionKind,
-    VERSION, checksum,
+    Brick, Flags, HEADER_BYTES, Header, MAGIC, MaterialRecord, Node, PageHeader, PageId, PageRecord, Section,
+    SectionKind, VERSION, checksum,
 };
 use crate::error::{Error, Result};
 
@@ -27,7 +27,8 @@ pub struct OctWriter {
     path: PathBuf,
     /// The name with links resolved.
     target: PathBuf,
-    file: BufWriter<NamedTempFile>,
+    file: BufWriter<File>,
+    part: Part,
     /// Where the next byte goes.
     position: u64,
     records: Vec<PageRecord>,
@@ -48,48 +49,96 @@ pub struct Top<'a> {
 impl OctWriter {
     /// Begins a file that will be named `path`; the temporary file lies in the same folder.
     pub fn create(path: &Path) -> Result<OctWriter> {
+        let mut writer = OctWriter::open(path)?;
+        writer.restart()?;
+        Ok(writer)
+    }
+
+    /// The same, but what an earlier writer of this file left when it was killed is kept until [`OctWriter::restart`] or
+    /// [`OctWriter::resume`], one of which must be called before all else.
+    pub fn open(path: &Path) -> Result<OctWriter> {
         // A link is followed, as when an ordinary file is written.
         let target = path.canonicalize().unwrap_or_else(|_| path.to_owned());
         if target.exists() && !target.is_file() {
             let what = "is not an ordinary file; name a file to write to".into();
             return Err(Error::Input { file: path.to_owned(), what });
         }
-        let mut builder = tempfile::Builder::new();
-        builder.prefix(".octrace-").suffix(".part");
-        #[cfg(unix)]
-        builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)); // less the umask, as for any new file
-        let file = builder.tempfile_in(folder(&target)).map_err(Error::create(path))?;
+        let part = Part::open(&target).map_err(Error::create(path))?;
+        let file = part.file.try_clone().map_err(Error::io(path, "write"))?;
         let file = BufWriter::with_capacity(BUFFER_BYTES, file);
-        let mut writer = OctWriter { path: path.to_owned(), target, file, position: 0, records: Vec::new() };
-        writer.write(&[0; HEADER_BYTES])?;
-        Ok(writer)
+        Ok(OctWriter { path: path.to_owned(), target, file, part, position: 0, records: Vec::new() })
+    }
+
+    /// Whether no other process writes the same file at this time.
+    pub fn is_first(&self) -> bool {
+        self.part.is_first
+    }
+
+    /// Bytes that an earlier writer left, or that were written and flushed.
+    fn left(&self) -> u64 {
+        self.part.file.metadata().map_or(0, |data| data.len())
+    }
+
+    /// Begins from the start, whatever an earlier writer left.
+    pub fn restart(&mut self) -> Result<()> {
+        self.go_to(0)?;
+        self.records.clear();
+        self.write(&[0; HEADER_BYTES])
+    }
+
+    /// Goes on after the pages of `records`, which an earlier writer has written and [`OctWriter::flush`]ed. False, and
+    /// nothing is changed, if its file is not there or too short.
+    pub fn resume(&mut self, records: Vec<PageRecord>) -> Result<bool> {
+        let end = records.last().map_or(HEADER_BYTES as u64, |last| last.offset + u64::from(last.stored_bytes));
+        if !self.is_first() || self.left() < end {
+            return Ok(false);
+        }
+        self.go_to(end)?;
+        self.records = records;
+        Ok(true)
+    }
+
+    /// Cuts what was left at `position`, where the next byte goes.
+    fn go_to(&mut self, position: u64) -> Result<()> {
+        self.part.file.set_len(position).map_err(Error::io(&self.path, "write"))?;
+        self.file.seek(SeekFrom::Start(position)).map_err(Error::io(&self.path, "write"))?;
+        self.position = position;
+        Ok(())
+    }
+
+    /// Hands all pages so far to the system, so that they outlive the process.
+    pub fn flush(&mut self) -> Result<()> {
+        self.file.flush().map_err(Error::io(&self.path, "write"))
     }
 
     /// Appends a page as laid out by [`super::PageHeader::layout`]; pages come in the order of their numbers.
     pub fn append(&mut self, page: &[u8]) -> Result<PageId> {
+        self.append_stored(page, None)
+    }
+
+    /// The same, stored as `packed` (see [`super::pack`]). Either all pages of a file are packed, or none.
+    pub fn append_packed(&mut self, page: &[u8], packed: &[u8]) -> Result<PageId> {
+        self.append_stored(page, Some(packed))
+    }
+
+    fn append_stored(&mut self, page: &[u8], packed: Option<&[u8]>) -> Result<PageId> {
         let id = PageId(self.records.len() as u32);
         let header = page.get(..size_of::<PageHeader>()).map(bytemuck::pod_read_unaligned::<PageHeader>);
         let Some(header) = header.filter(|h| h.page == id.0 && page.len().is_multiple_of(64)) else {
             return Err(self.misuse(format!("page {} is not laid out as such", id.0)));
         };
-        let Ok(bytes) = u32::try_from(page.len()) else {
+        let stored = packed.unwrap_or(page);
+        let (Ok(bytes), Ok(stored_bytes)) = (u32::try_from(page.len()), u32::try_from(stored.len())) else {
             return Err(self.misuse(format!("page {} is larger than 4 GiB; take smaller bricks", id.0)));
         };
-        self.align(PageRecord::alignment(header.references))?;
+        self.align(PageRecord::alignment(header.references, packed.is_some()))?;
         let offset = self.position;
         if u32::try_from(offset / 64 + 1).is_err() {
             return Err(self.misuse("the file passes 256 GiB, the most that version 1 can hold".into()));
         }
-        self.write(page)?;
-        let checksum = checksum(page);
-        self.records.push(PageRecord {
-            offset,
-            checksum,
-            stored_bytes: bytes,
-            bytes,
-            references: header.references,
-            zero: 0,
-        });
+        self.write(stored)?;
+        let checksum = checksum(stored);
+        self.records.push(PageRecord { offset, checksum, stored_bytes, bytes, references: header.references, zero: 0 });
         Ok(id)
     }
 
@@ -107,7 +156,7 @@ impl OctWriter {
             return Err(self.misuse(format!("{} bricks for {} pages", top.bricks.len(), self.records.len())));
         }
         for (brick, record) in top.bricks.iter_mut().zip(&self.records) {
-            brick.node = (record.offset / 64 + 1) as u32;
+            brick.node = if header.flags.has(Flags::PACKED) { 0 } else { (record.offset / 64 + 1) as u32 };
         }
         let records = std::mem::take(&mut self.records);
         let mut header = Header {
@@ -157,8 +206,8 @@ impl OctWriter {
         let mut file = self.file.into_inner().map_err(|e| Error::io(&path, "write")(e.into_error()))?;
         file.seek(SeekFrom::Start(0)).map_err(Error::io(&path, "write"))?;
         file.write_all(bytemuck::bytes_of(header)).map_err(Error::io(&path, "write"))?;
-        file.as_file().sync_all().map_err(Error::io(&path, "sync"))?;
-        file.persist(&self.target).map_err(|e| Error::io(&path, "rename its temporary file to")(e.error))?;
+        file.sync_all().map_err(Error::io(&path, "sync"))?;
+        self.part.persist(&self.target).map_err(Error::io(&path, "rename its temporary file to"))?;
         sync_folder(folder(&self.target)).map_err(Error::io(&path, "sync the folder of"))
     }
 
@@ -179,11 +228,6 @@ impl OctWriter {
     fn misuse(&self, what: String) -> Error {
         Error::Input { file: self.path.clone(), what }
     }
-}
-
-/// The folder that a file lies in.
-fn folder(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// Makes a rename in `folder` last.
@@ -230,6 +274,37 @@ mod tests {
         assert!(finish(writer, &mut [brick()]).is_err(), "a brick too many");
         assert_eq!(fs::read(&path).unwrap(), b"older");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+
+    #[test]
+    fn what_a_killed_writer_left_is_taken_up() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.oct");
+        let whole = {
+            let mut writer = OctWriter::create(&path).unwrap();
+            for number in 0..3 {
+                writer.append(&page(number)).unwrap();
+            }
+            finish(writer, &mut [brick(); 3]).unwrap();
+            fs::read(&path).unwrap()
+        };
+        let mut writer = OctWriter::create(&path).unwrap();
+        for number in 0..2 {
+            writer.append(&page(number)).unwrap();
+        }
+        writer.flush().unwrap();
+        let records = writer.records().to_vec();
+        // As a kill does: the file stays.
+        let part = folder.path().join(".a.oct.part");
+        let left = fs::read(&part).unwrap();
+        drop(writer);
+        fs::write(&part, [&left[..], b"and half of a page"].concat()).unwrap();
+        let mut writer = OctWriter::open(&path).unwrap();
+        assert!(!writer.resume(vec![PageRecord { offset: 1 << 20, ..records[0] }]).unwrap());
+        assert!(writer.resume(records).unwrap());
+        writer.append(&page(2)).unwrap();
+        finish(writer, &mut [brick(); 3]).unwrap();
+        assert!(fs::read(&path).unwrap() == whole);
     }
 
     #[test]

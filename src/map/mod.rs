@@ -2,7 +2,7 @@
 //!
 //! [`Octree::open`] maps the file and checks header and top, which takes time by the count of pages, not by their
 //! size. [`Octree::page`] checks a page's checksum and structure when it is first asked for and remembers that it is
-//! sound. [`Octree::verify`] checks all of it. A file cut short while it is mapped reads as zeros from there on
+//! sound; a page of a packed file is unpacked then, and kept. [`Octree::verify`] checks all of it. A file cut short while it is mapped reads as zeros from there on
 //! (`mmap.rs`), and [`Octree::fault`] says so: ask it before trusting what was read.
 
 mod mmap;
@@ -17,6 +17,7 @@ mod verify;
 use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec3, Vec3};
@@ -24,7 +25,7 @@ use glam::{DVec3, Vec3};
 use crate::error::{Error, Result};
 use crate::format::{
     Brick, Flags, Header, LeafUnit, MaterialRecord, Node, PageId, PageRecord, Refusal, SectionKind, TopView, checksum,
-    read_header, string_at, validate_page, validate_top,
+    read_header, string_at, unpack, validate_page, validate_top,
 };
 use crate::geometry::{Aabb, RootCube};
 use mmap::Mapping;
@@ -41,6 +42,8 @@ pub struct Octree {
     sections: [Range<usize>; 5],
     /// Which pages were checked and found sound.
     sound: Box<[AtomicBool]>,
+    /// The pages of a packed file, each unpacked when it is first used; empty for one that is not packed.
+    unpacked: Box<[OnceLock<Box<[Node]>>]>,
 }
 
 impl Octree {
@@ -65,7 +68,9 @@ impl Octree {
         })?;
         let sections = section_ranges(&header, map.bytes()).map_err(|what| Error::damaged(path, None, what))?;
         let sound = (0..header.pages).map(|_| AtomicBool::new(false)).collect();
-        let octree = Octree { path: path.to_owned(), map, header, sections, sound };
+        let packed = if header.flags.has(Flags::PACKED) { header.pages } else { 0 };
+        let unpacked = (0..packed).map(|_| OnceLock::new()).collect();
+        let octree = Octree { path: path.to_owned(), map, header, sections, sound, unpacked };
         validate_top(&octree.header, &octree.top()).map_err(|what| octree.damaged(None, what))?;
         octree.fault()?;
         Ok(octree)
@@ -142,7 +147,7 @@ impl Octree {
             let (Some(record), Some(brick)) = (self.records().get(i), self.bricks().get(i)) else {
                 return Err(self.no_page(id));
             };
-            return Ok(Page::new(self.page_bytes(record), brick, self.header.flags));
+            return Ok(Page::new(self.page_bytes(i, record), brick, self.header.flags));
         }
         self.check_page(id)
     }
@@ -166,15 +171,17 @@ impl Octree {
         let (Some(record), Some(brick)) = (self.records().get(i), self.bricks().get(i)) else {
             return Err(self.no_page(id));
         };
-        let bytes = self.page_bytes(record);
         let Header { flags, materials, source_triangles, .. } = self.header;
-        let outcome = match checksum(bytes) == record.checksum {
-            true => validate_page(bytes, id, record, flags, materials, source_triangles).map(drop),
+        let stored = self.stored_bytes(record);
+        let outcome = match checksum(stored) == record.checksum {
+            true => self
+                .unpack(i, stored, record)
+                .and_then(|bytes| validate_page(bytes, id, record, flags, materials, source_triangles).map(|_| bytes)),
             false => Err("its checksum is wrong".into()),
         };
         // Zeros in place of lost bytes fail the checks; say what really happened.
         self.fault()?;
-        outcome.map_err(|what| self.damaged(Some(id.0), what))?;
+        let bytes = outcome.map_err(|what| self.damaged(Some(id.0), what))?;
         self.sound[i].store(true, Ordering::Release);
         Ok(Page::new(bytes, brick, flags))
     }
@@ -184,11 +191,33 @@ impl Octree {
         self.fault().err().unwrap_or_else(|| self.damaged(Some(id.0), "there is no such page".into()))
     }
 
-    /// A page's bytes in the map; empty if the record is not as it was when it was checked.
+    /// A page's bytes as they are stored; empty if the record is not as it was when it was checked.
     #[inline]
-    fn page_bytes(&self, record: &PageRecord) -> &[u8] {
+    fn stored_bytes(&self, record: &PageRecord) -> &[u8] {
         let begin = record.offset as usize;
-        self.map.bytes().get(begin..begin.saturating_add(record.bytes as usize)).unwrap_or(&[])
+        self.map.bytes().get(begin..begin.saturating_add(record.stored_bytes as usize)).unwrap_or(&[])
+    }
+
+    /// The bytes of a page that was used before.
+    #[inline]
+    fn page_bytes(&self, i: usize, record: &PageRecord) -> &[u8] {
+        match self.unpacked.get(i) {
+            Some(page) => page.get().map_or(&[], |nodes| bytemuck::cast_slice(nodes)),
+            None => self.stored_bytes(record),
+        }
+    }
+
+    /// The bytes of a page whose checksum is right; those of a packed one stay in memory.
+    fn unpack<'s>(&'s self, i: usize, stored: &'s [u8], record: &PageRecord) -> Result<&'s [u8], String> {
+        let Some(page) = self.unpacked.get(i) else { return Ok(stored) };
+        let nodes = match page.get() {
+            Some(nodes) => nodes,
+            None => {
+                let nodes = unpack(stored, record.bytes)?;
+                page.get_or_init(|| nodes)
+            }
+        };
+        Ok(bytemuck::cast_slice(nodes))
     }
 
     /// A section's records.

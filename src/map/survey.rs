@@ -5,7 +5,8 @@ use crate::error::Result;
 use crate::event::Monitor;
 use crate::format::{Flags, LEAF_MAX, Leaf, PAGE_HEADER_BYTES, PageId};
 
-/// Bytes of a file by what they are; they add up to the file's length.
+/// Bytes of a file by what they are; they add up to the file's length, or, for a packed file, to what it would be unpacked, without
+/// the zeros between pages.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Parts {
     /// The header page.

@@ -87,7 +87,7 @@ impl Octree {
 
     /// Bytes between pages and sections must be zero.
     fn check_gaps(&self) -> Result<()> {
-        let pages = self.records().iter().map(|r| (r.offset, u64::from(r.bytes)));
+        let pages = self.records().iter().map(|r| (r.offset, u64::from(r.stored_bytes)));
         let sections = self.header.sections.iter().filter(|s| s.kind != 0).map(|s| (s.offset, s.bytes));
         let mut end = HEADER_BYTES;
         for (offset, bytes) in pages.chain(sections) {

@@ -9,6 +9,7 @@ use std::io::{self, BufReader, Cursor, Read};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::SystemTime;
 
 use crate::error::{Error, Result};
 
@@ -52,12 +53,14 @@ pub(super) struct Input {
     file: Option<File>,
     /// Bytes, where they are known.
     size: Option<u64>,
+    /// When it was changed last, where that is known.
+    changed: Option<SystemTime>,
 }
 
 impl Input {
     /// Standard input.
     pub fn stdin() -> Input {
-        Input { path: "-".into(), promised: None, file: None, size: None }
+        Input { path: "-".into(), promised: None, file: None, size: None, changed: None }
     }
 
     /// A file, which must exist.
@@ -69,7 +72,8 @@ impl Input {
             return Err(Error::Input { file: path.to_owned(), what });
         }
         let size = data.is_file().then_some(data.len());
-        Ok(Input { path: path.to_owned(), promised, file: Some(file), size })
+        let changed = data.modified().ok().filter(|_| data.is_file());
+        Ok(Input { path: path.to_owned(), promised, file: Some(file), size, changed })
     }
 
     /// The name to show in messages.
@@ -95,6 +99,18 @@ impl Input {
     /// Whether it can be read a second time.
     pub fn is_repeatable(&self) -> bool {
         self.size.is_some()
+    }
+
+    /// Fails if the file is no longer what it was when it was opened: then what was read may be half of each.
+    pub fn check_unchanged(&self) -> Result<()> {
+        let (Some(size), Some(changed)) = (self.size, self.changed) else { return Ok(()) };
+        let same =
+            std::fs::metadata(&self.path).is_ok_and(|now| now.len() == size && now.modified().ok() == Some(changed));
+        if same {
+            return Ok(());
+        }
+        let what = "it was changed while it was read; read it again when it is complete".into();
+        Err(Error::Input { file: self.error_path(), what })
     }
 
     fn is_stdin(&self) -> bool {
@@ -151,6 +167,11 @@ impl Stream {
     pub fn fill(&mut self, buffer: &mut Vec<u8>, limit: usize) -> Result<usize> {
         let mut part = self.text.by_ref().take(limit as u64);
         part.read_to_end(buffer).map_err(|error| read_error(self.file.clone(), self.codec, error))
+    }
+
+    /// Whether the text comes out of a decoder.
+    pub fn is_packed(&self) -> bool {
+        self.codec.is_some()
     }
 
     /// The counter of bytes taken from the (compressed) input, which other threads may look at.

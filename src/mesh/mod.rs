@@ -2,9 +2,12 @@
 //!
 //! A reader never holds the mesh: memory is bounded by a constant (a few read blocks), whatever the size of the file.
 
+mod bytes;
 mod input;
 pub mod mtl;
 mod obj;
+mod ply;
+mod stl;
 
 use std::path::Path;
 
@@ -23,47 +26,89 @@ pub struct ReadOptions {
     /// Bytes of text in a block, the unit of reading and parsing; longer lines make longer blocks. See
     /// [`ReadOptions::within`].
     pub block: usize,
+    /// Most bytes of a line, continued ones included; a longer one is an error.
+    pub longest_line: usize,
+    /// Most different materials that an OBJ file may use; more are an error. About 300 bytes are held for each.
+    pub most_materials: usize,
 }
 
 impl Default for ReadOptions {
     fn default() -> Self {
-        ReadOptions { lenient: false, origin: [0.0; 3], block: 8 << 20 }
+        ReadOptions {
+            lenient: false,
+            origin: [0.0; 3],
+            block: 8 << 20,
+            longest_line: 1 << 30,
+            most_materials: usize::MAX,
+        }
     }
 }
 
 impl ReadOptions {
     /// Sets the size of blocks so that reading with `threads` threads takes about `memory` bytes at most (down to
-    /// 64 KiB a block, up to 16 MiB).
+    /// 64 KiB a block, up to 8 MiB).
     ///
     /// For t threads there are at most t + 4 blocks of text at a time, and the results of t + 1 of them, which may be
-    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up.
+    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up. A line may take half of the memory.
     pub fn within(self, memory: u64, threads: usize) -> Self {
         let blocks = 4 * threads as u64 + 8;
-        ReadOptions { block: (memory / blocks).clamp(64 << 10, 16 << 20) as usize, ..self }
+        let block = (memory / blocks).clamp(64 << 10, 8 << 20) as usize;
+        ReadOptions { block, longest_line: (memory / 2).max(1 << 20) as usize, ..self }
     }
 }
 
-/// Opens a mesh file for reading: `.obj`, `.obj.gz` or `.obj.zst`, and `-` for standard input (OBJ, also compressed).
+/// Opens a mesh file for reading: `.obj`, `.ply` or `.stl`, each also with `.gz` or `.zst`, and `-` for standard input (OBJ,
+/// also compressed).
 ///
 /// Fails with [`Error::Input`] where the name says another format or the content is not what the name says, and with
 /// [`Error::Io`] "open" where the file cannot be opened.
 pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn TriangleSource>> {
-    let input = if path == Path::new("-") { Input::stdin() } else { Input::file(path, codec_of(path)?)? };
-    Ok(Box::new(obj::ObjSource::new(input, *options)))
+    if path == Path::new("-") {
+        return Ok(Box::new(obj::ObjSource::new(Input::stdin(), *options)));
+    }
+    let (form, codec) = form_of(path)?;
+    let input = Input::file(path, codec)?;
+    Ok(match form {
+        Form::Obj => Box::new(obj::ObjSource::new(input, *options)),
+        Form::Ply => Box::new(ply::PlySource::new(input, *options)),
+        Form::Stl => Box::new(stl::StlSource::new(input, *options)),
+    })
 }
 
-/// Which compression the file's name promises.
-fn codec_of(path: &Path) -> Result<Option<Codec>> {
+/// A format of mesh files.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Form {
+    Obj,
+    Ply,
+    Stl,
+}
+
+/// What a mesh file is: its place, size and time of change, and how it is read, as text. `None` if it cannot be read twice.
+pub fn identity(path: &Path, options: &ReadOptions) -> Option<String> {
+    let place = path.canonicalize().ok()?;
+    let data = std::fs::metadata(&place).ok()?;
+    let changed = data.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
+    let how = if options.lenient { "lenient" } else { "strict" };
+    data.is_file().then(|| format!("{} {} {} {how}", place.display(), data.len(), changed.as_nanos()))
+}
+
+/// Which format and compression the file's name promises.
+fn form_of(path: &Path) -> Result<(Form, Option<Codec>)> {
     let name = path.file_name().map(|name| name.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
-    match () {
-        _ if name.ends_with(".obj") => Ok(None),
-        _ if name.ends_with(".obj.gz") => Ok(Some(Codec::Gzip)),
-        _ if name.ends_with(".obj.zst") => Ok(Some(Codec::Zstd)),
-        _ => Err(Error::Input {
+    let (stem, codec) = match () {
+        _ if name.ends_with(".gz") => (&name[..name.len() - 3], Some(Codec::Gzip)),
+        _ if name.ends_with(".zst") => (&name[..name.len() - 4], Some(Codec::Zstd)),
+        _ => (&name[..], None),
+    };
+    let form = [(".obj", Form::Obj), (".ply", Form::Ply), (".stl", Form::Stl)].into_iter();
+    match form.into_iter().find(|(suffix, _)| stem.ends_with(suffix)) {
+        Some((_, form)) => Ok((form, codec)),
+        None => Err(Error::Input {
             file: path.to_owned(),
-            what: "not a mesh format this program knows by its name; it reads .obj, .obj.gz, .obj.zst, and - for OBJ \
-                   on standard input"
-                .into(),
+            what:
+                "not a mesh format this program knows by its name; it reads .obj, .ply and .stl, each also with .gz or \
+                   .zst, and - for OBJ on standard input"
+                    .into(),
         }),
     }
 }

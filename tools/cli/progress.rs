@@ -77,6 +77,7 @@ impl Reporter {
         match event {
             Event::Phase { name } => self.phase(name),
             Event::Progress { done, total, unit } => self.progress(done, total, unit),
+            Event::Note(text) => self.note(&text),
             Event::Warning(text) => self.warn(|| diagnostics::render_message(Severity::Warning, &text)),
             Event::Diagnostic(d) => self.warn(|| diagnostics::render(&d)),
             _ => {}
@@ -126,6 +127,14 @@ impl Reporter {
         }
     }
 
+    fn note(&self, text: &str) {
+        match &self.display {
+            Display::None => {}
+            Display::Bar(bar) => bar.suspend(|| eprintln!("{}: {text}", self.name)),
+            Display::Lines(_) => eprintln!("{}: {text}", self.name),
+        }
+    }
+
     fn warn(&self, text: impl FnOnce() -> String) {
         if self.warnings.fetch_add(1, Ordering::Relaxed) >= WARNINGS_SHOWN {
             return;
@@ -158,8 +167,8 @@ fn bar() -> ProgressBar {
 /// With a total: phase, bar, per cent, time left; without: phase, spinner, count.
 fn style(total: Option<u64>) -> ProgressStyle {
     let template = match total {
-        Some(_) => "{msg:>9} {wide_bar} {percent:>3} % of {human_len} {prefix}, {eta} left",
-        None => "{msg:>9} {spinner} {human_pos} {prefix}",
+        Some(_) => "{msg:>10} {wide_bar} {percent:>3} % of {human_len} {prefix}, {per_sec}, {eta} left",
+        None => "{msg:>10} {spinner} {human_pos} {prefix}",
     };
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
 }
@@ -168,12 +177,23 @@ fn style(total: Option<u64>) -> ProgressStyle {
 fn plain_line(phase: &str, done: u64, total: Option<u64>, unit: &str, since: Duration) -> String {
     let Some(total) = total.filter(|&t| t > 0) else { return format!("{phase}: {done} {unit}") };
     let share = done as f64 / total as f64;
-    let left = if share > 0.0 {
-        format!(", {:.0} s left", since.as_secs_f64() * (1.0 - share).max(0.0) / share)
+    let seconds = since.as_secs_f64();
+    let left = if share > 0.0 && seconds > 0.0 {
+        let left = seconds * (1.0 - share).max(0.0) / share;
+        format!(", {}, {left:.0} s left", rate(done as f64 / seconds, unit))
     } else {
         String::new()
     };
     format!("{phase}: {:.0} % of {total} {unit}{left}", share * 100.0)
+}
+
+/// So many units a second: `12.3 MB/s`, `1.23 M triangles/s`.
+fn rate(per_second: f64, unit: &str) -> String {
+    match unit {
+        "bytes" => format!("{:.1} MB/s", per_second * 1e-6),
+        _ if per_second >= 1e5 => format!("{:.2} M {unit}/s", per_second * 1e-6),
+        _ => format!("{per_second:.0} {unit}/s"),
+    }
 }
 
 #[cfg(test)]
@@ -183,7 +203,11 @@ mod tests {
     #[test]
     fn plain_lines() {
         let ten = Duration::from_secs(10);
-        assert_eq!(plain_line("scan", 25, Some(100), "bytes", ten), "scan: 25 % of 100 bytes, 30 s left");
+        let line = plain_line("scan", 25_000_000, Some(100_000_000), "bytes", ten);
+        assert_eq!(line, "scan: 25 % of 100000000 bytes, 2.5 MB/s, 30 s left");
+        let line = plain_line("join", 5_000_000, Some(10_000_000), "triangles", ten);
+        assert_eq!(line, "join: 50 % of 10000000 triangles, 0.50 M triangles/s, 10 s left");
+        assert_eq!(rate(12.4, "pages"), "12 pages/s");
         assert_eq!(plain_line("scan", 0, Some(100), "bytes", ten), "scan: 0 % of 100 bytes");
         assert_eq!(plain_line("scan", 7, None, "faces", ten), "scan: 7 faces");
         assert_eq!(plain_line("scan", 7, Some(0), "faces", ten), "scan: 7 faces");

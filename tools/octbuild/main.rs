@@ -7,6 +7,8 @@ mod summary;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
@@ -24,7 +26,7 @@ use summary::Stats;
 #[derive(Parser)]
 #[command(name = "octbuild", version, after_help = EXAMPLES)]
 struct Args {
-    /// The mesh: OBJ, also compressed (.obj.gz, .obj.zst); `-` is standard input
+    /// The mesh: OBJ, PLY or STL, also compressed (.obj.gz, .ply.zst); `-` is OBJ on standard input
     #[arg(value_name = "INPUT")]
     input: PathBuf,
     /// The octree file to write
@@ -38,6 +40,8 @@ struct Args {
     origin: Option<DVec3>,
     #[command(flatten)]
     tree: Tree,
+    #[command(flatten)]
+    resources: Resources,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -66,6 +70,41 @@ struct Tree {
     /// Leave out face ids: 4 bytes a triangle less, and hits name places in the file instead
     #[arg(long)]
     no_ids: bool,
+    /// Pack pages, for shipping and slow disks; they are unpacked into memory when they are used [default level: 3]
+    #[arg(long, value_name = "none|zstd[:LEVEL]", value_parser = compression, default_value = "none")]
+    compress: Compression,
+}
+
+/// How pages are packed.
+#[derive(Clone, Copy, Debug)]
+struct Compression(Option<i32>);
+
+/// `none`, `zstd` or `zstd:LEVEL`.
+fn compression(text: &str) -> std::result::Result<Compression, String> {
+    let level = match text {
+        "none" => None,
+        "zstd" => Some(3),
+        _ => text.strip_prefix("zstd:").and_then(|level| level.parse().ok()).filter(|level| (1..=22).contains(level)),
+    };
+    match (text, level) {
+        ("none", _) | (_, Some(_)) => Ok(Compression(level)),
+        _ => Err("expected none, zstd, or zstd:LEVEL with a level from 1 to 22".into()),
+    }
+}
+
+/// What a build may use.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Resources")]
+struct Resources {
+    /// Bound on resident memory, at least 64M; what does not fit goes to temporary files [default: 1G]
+    #[arg(long, value_name = "SIZE", value_parser = cli::args::size)]
+    memory: Option<u64>,
+    /// Folder for temporary files [default: the output's]
+    #[arg(long, value_name = "DIR")]
+    temp: Option<PathBuf>,
+    /// Go on where a build of the same mesh to the same file was killed
+    #[arg(long)]
+    resume: bool,
 }
 
 /// The split modes.
@@ -83,6 +122,7 @@ const EXAMPLES: &str = "\
 Examples:
   octbuild bunny.obj -o bunny.oct                     the usual case
   zstdcat big.obj.zst | octbuild - -o big.oct         from standard input
+  octbuild huge.obj -o huge.oct --memory 512M         never above 512 MiB, whatever the size of the mesh
   octbuild city.obj -o city.oct --origin 4.5e5,5.4e6,0
                                                       coordinates too large for f32
   octbuild bunny.obj -o b.oct --split strict --cell 8 the textbook octree, to compare with
@@ -115,6 +155,7 @@ impl Tree {
             cell: self.cell.unwrap_or(default.cell),
             depth: self.depth.unwrap_or(default.depth),
             ids: !self.no_ids,
+            compress: self.compress.0,
             ..default
         })
     }
@@ -126,16 +167,39 @@ fn main() -> ExitCode {
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     let start = Instant::now();
+    survive_file_limits()?;
     check_output(&args.input, &args.output)?;
     let origin = args.origin.unwrap_or_default().to_array();
-    let options = BuildOptions { origin, name: Some(args.input.clone()), ..args.tree.options()? };
-    let read = ReadOptions { lenient: args.lenient, origin, ..ReadOptions::default() };
+    let tree = args.tree.options()?;
+    let options = BuildOptions {
+        origin,
+        name: Some(args.input.clone()),
+        memory: args.resources.memory.unwrap_or(tree.memory),
+        temp: args.resources.temp.clone(),
+        resume: args.resources.resume,
+        source: mesh::identity(&args.input, &ReadOptions { lenient: args.lenient, ..Default::default() }),
+        ..tree
+    };
+    if options.resume && options.source.is_none() && !args.input.exists() {
+        return Err(Error::Option("--resume needs a mesh file that can be read again, not standard input".into()));
+    }
+    let most_materials = options.most_materials();
+    let read = ReadOptions { lenient: args.lenient, origin, most_materials, ..ReadOptions::default() };
+    let read = read.within(options.reading_memory(), rayon::current_num_threads());
     let mut source = mesh::open(&args.input, &read)?;
     let report = build::build(source.as_mut(), &args.output, &options, session.monitor())?;
     let seconds = start.elapsed().as_secs_f64();
     session.say(summary::line(&args.output, &report, seconds));
     args.stats.write(&Stats::new(&report, seconds))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// A write beyond the limit on file sizes (`ulimit -f`) is then an error like a full disk, and does not end the process at once.
+fn survive_file_limits() -> Result<()> {
+    #[cfg(unix)]
+    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
+        .map_err(|e| Error::Option(format!("cannot listen for SIGXFSZ: {e}")))?;
+    Ok(())
 }
 
 /// Refuses, before any work is done, a place where the finished file could not be put.

@@ -43,13 +43,23 @@ struct Phase {
     name: &'static str,
     seconds: f64,
     cpu_seconds: f64,
+    bytes_read: u64,
+    bytes_written: u64,
+    peak_rss_bytes: u64,
 }
 
 impl Stats {
     /// The statistics of a build that took `seconds`.
     pub fn new(report: &BuildReport, seconds: f64) -> Stats {
         let p = report.polygons;
-        let phase = |p: &octrace::build::Phase| Phase { name: p.name, seconds: p.seconds, cpu_seconds: p.cpu_seconds };
+        let phase = |p: &octrace::build::Phase| Phase {
+            name: p.name,
+            seconds: p.seconds,
+            cpu_seconds: p.cpu_seconds,
+            bytes_read: p.bytes_read,
+            bytes_written: p.bytes_written,
+            peak_rss_bytes: p.peak_rss_bytes,
+        };
         Stats {
             schema: stats::SCHEMA,
             triangles: report.triangles,

@@ -4,6 +4,9 @@
 //! the tree is a range of bricks. Cells with a single occupied octant are skipped. A node names its bricks as a run of consecutive
 //! numbers; where an inner cell stands between two bricks of a node their numbers are apart, and all but the longest run
 //! get a node of their own in between.
+//!
+//! A cell at the depth limit may be several bricks. Nothing tells where in it they lie, so a range of them is cut into
+//! eight even parts, which take the slots in order.
 
 use glam::DVec3;
 
@@ -68,6 +71,8 @@ pub fn top_levels(nodes: &[Node], bricks: usize) -> Vec<u32> {
 enum What {
     /// The bricks of that range, which lie in different octants of a cell of that level.
     Bricks { first: usize, end: usize, level: u32 },
+    /// The bricks of that range, which all have the same cell.
+    Same { first: usize, end: usize },
     /// A single brick.
     Single(usize),
 }
@@ -86,7 +91,10 @@ struct TopBuilder<'a> {
 impl TopBuilder<'_> {
     /// The least cell around at least two bricks.
     fn cell_of_range(&self, first: usize, end: usize) -> What {
-        let differing = (self.codes[first] ^ self.codes[end - 1]).max(1);
+        let differing = self.codes[first] ^ self.codes[end - 1];
+        if differing == 0 {
+            return What::Same { first, end };
+        }
         let level = 20 - (63 - differing.leading_zeros()) / 3;
         What::Bricks { first, end, level }
     }
@@ -97,6 +105,10 @@ impl TopBuilder<'_> {
             What::Bricks { first, end, level } => {
                 let codes = &self.codes[first..end];
                 let start = |i: usize| first + codes.partition_point(|&code| octant_of(code, level) < i);
+                std::array::from_fn(|i| start(i)..start(i + 1))
+            }
+            What::Same { first, end } => {
+                let start = |i: usize| first + i * (end - first) / 8;
                 std::array::from_fn(|i| start(i)..start(i + 1))
             }
             What::Single(brick) => {
@@ -163,6 +175,18 @@ mod tests {
         let inside = Bounds { min: DVec3::splat(0.01), max: DVec3::splat(0.99) };
         let bounds = Bounds { min: min + reach, max: max + reach }.clipped_to(inside);
         TopBrick { cell, bounds_root: bounds.corners() }
+    }
+
+    #[test]
+    fn bricks_of_one_cell_lie_side_by_side() {
+        let cell = |octants: &[usize]| octants.iter().fold(Cell::ROOT, |cell, &octant| cell.child(octant));
+        for count in [2, 8, 9, 65, 700] {
+            let mut bricks = vec![brick(cell(&[0; 21]))];
+            bricks.extend((0..count).map(|_| brick(cell(&[3; 21]))));
+            bricks.push(brick(cell(&[3, 4])));
+            check(&bricks);
+            check(&bricks[1..=count]);
+        }
     }
 
     /// Cells of an octree, in Morton order: `splits` says at each turn which leaf to split, and which octants live on.

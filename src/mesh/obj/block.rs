@@ -15,6 +15,7 @@ const HEAD: usize = 4096;
 pub(super) struct Blocks {
     stream: Stream,
     size: usize,
+    longest_line: usize,
     /// The beginning of a line whose end was not in the last block.
     carry: Vec<u8>,
     /// What was looked at before the first block.
@@ -24,9 +25,17 @@ pub(super) struct Blocks {
 }
 
 impl Blocks {
-    /// Blocks of about `size` bytes.
-    pub fn new(stream: Stream, size: usize) -> Blocks {
-        Blocks { stream, size: size.max(1), carry: Vec::new(), head: Vec::new(), begun: false, ended: false }
+    /// Blocks of about `size` bytes, with lines of at most `longest_line`.
+    pub fn new(stream: Stream, size: usize, longest_line: usize) -> Blocks {
+        Blocks {
+            stream,
+            size: size.max(1),
+            longest_line,
+            carry: Vec::new(),
+            head: Vec::new(),
+            begun: false,
+            ended: false,
+        }
     }
 
     /// The next block: whole lines, ending with a newline. `None` at the end.
@@ -37,7 +46,13 @@ impl Blocks {
         let mut text = std::mem::take(&mut self.carry);
         let mut searched = 0;
         while !self.ended {
-            let missing = if searched == 0 { self.size.saturating_sub(text.len()).max(1) } else { text.len() };
+            let missing = match searched {
+                0 => self.size.saturating_sub(text.len()).max(1),
+                _ => (text.len() / 2).max(self.size).min(self.longest_line.saturating_sub(text.len())),
+            };
+            if missing == 0 {
+                return Err(self.too_long());
+            }
             self.grow(&mut text, missing)?;
             if let Some(cut) = last_cut(&text, searched) {
                 self.carry = text.split_off(cut);
@@ -50,6 +65,16 @@ impl Blocks {
             text.push(b'\n');
         }
         Ok((!text.is_empty()).then_some(text))
+    }
+
+    /// The error for a line that would take too much memory.
+    fn too_long(&self) -> Error {
+        let longest = self.longest_line >> 20;
+        let what = format!(
+            "one of its lines is longer than {longest} MiB, which does not fit in the memory allowed; allow more (a line may \
+             take about a tenth of it)"
+        );
+        Error::Input { file: self.stream.file().to_owned(), what }
     }
 
     /// Reads `missing` more bytes, or notes the end.
@@ -112,7 +137,7 @@ mod tests {
     use super::*;
 
     fn blocks(text: &[u8], size: usize) -> Result<Vec<Vec<u8>>> {
-        let mut blocks = Blocks::new(Stream::of_bytes(text), size);
+        let mut blocks = Blocks::new(Stream::of_bytes(text), size, 1 << 20);
         std::iter::from_fn(|| blocks.next_block().transpose()).collect()
     }
 

@@ -134,7 +134,7 @@ fn look_again(
     raised: &Raised,
     counts: [u64; KINDS],
 ) -> Result<Option<Diagnostic>> {
-    let mut blocks = Blocks::new(input.start()?, options.block);
+    let mut blocks = Blocks::new(input.start()?, options.block, options.longest_line);
     for _ in 0..raised.block {
         blocks.next_block()?;
     }

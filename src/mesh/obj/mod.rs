@@ -22,6 +22,8 @@ mod tests;
 
 use std::sync::atomic::Ordering;
 
+pub(super) use number::{parse_f32, parse_f64};
+
 use super::input::Input;
 use super::{MeshSink, ReadOptions, SourceInfo, TriangleSource, mtl};
 use crate::error::Result;
@@ -47,12 +49,18 @@ impl TriangleSource for ObjSource {
         let stream = self.input.start()?;
         let (taken, size) = (stream.taken(), self.input.size());
         let mut sequel = Sequel::new(&self.input, self.options);
-        pipeline::run(Blocks::new(stream, self.options.block), self.options.origin, monitor, &mut |text, parsed| {
-            sequel.take(text, parsed, sink, monitor)?;
-            monitor.progress(taken.load(Ordering::Relaxed), size, "bytes");
-            Ok(())
-        })?;
+        pipeline::run(
+            Blocks::new(stream, self.options.block, self.options.longest_line),
+            self.options.origin,
+            monitor,
+            &mut |text, parsed| {
+                sequel.take(text, parsed, sink, monitor)?;
+                monitor.progress(taken.load(Ordering::Relaxed), size, "bytes");
+                Ok(())
+            },
+        )?;
         let end = sequel.finish(monitor);
+        self.input.check_unchanged()?;
         end.forward.check(&mut self.input, &self.options, end.counts)?;
         let materials = mtl::resolve(&self.input.folder(), &end.libraries, end.materials, monitor);
         Ok(SourceInfo { materials, too_few_corners: end.too_few, bad_index: end.bad })

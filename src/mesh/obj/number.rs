@@ -104,12 +104,12 @@ fn narrow(value: f64) -> Option<f32> {
 }
 
 /// A number as a word of its own: any decimal, or an infinity or NaN in the spellings of C libraries.
-pub(super) fn parse_f32(word: &[u8]) -> Option<f32> {
+pub(in crate::mesh) fn parse_f32(word: &[u8]) -> Option<f32> {
     parse(word, Decimal::to_f32)
 }
 
 /// The same, as f64.
-pub(super) fn parse_f64(word: &[u8]) -> Option<f64> {
+pub(in crate::mesh) fn parse_f64(word: &[u8]) -> Option<f64> {
     parse(word, Decimal::to_f64)
 }
 

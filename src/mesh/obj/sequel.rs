@@ -78,7 +78,7 @@ impl Sequel {
             None => self.parse_again(&text, monitor)?,
         };
         self.make_absolute(&mut parsed);
-        self.use_materials(&text, &mut parsed);
+        self.use_materials(&text, &mut parsed)?;
         for library in parsed.libraries.drain(..) {
             let name = decode(&text[library]);
             if !self.libraries.contains(&name) {
@@ -138,17 +138,24 @@ impl Sequel {
     }
 
     /// Numbers the materials in the order of first use, and says where each holds.
-    fn use_materials(&mut self, text: &[u8], parsed: &mut Parsed) {
+    fn use_materials(&mut self, text: &[u8], parsed: &mut Parsed) -> Result<()> {
         let holds = &mut parsed.faces.materials;
         holds.push((0, self.material));
         for (face, name) in parsed.uses.drain(..) {
             self.material = self.number_of(text, name);
+            if self.materials.len() > self.options.most_materials {
+                let most = self.options.most_materials;
+                let what =
+                    format!("it uses more than {most} materials, which do not fit in the memory allowed; allow more");
+                return Err(Error::Input { file: self.error_path.clone(), what });
+            }
             match holds.last_mut() {
                 Some(last) if last.0 == face as u32 => last.1 = self.material,
                 Some(last) if last.1 == self.material => {}
                 _ => holds.push((face as u32, self.material)),
             }
         }
+        Ok(())
     }
 
     fn number_of(&mut self, text: &[u8], name: Range<usize>) -> u32 {

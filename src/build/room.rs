@@ -1,0 +1,102 @@
+//! Whether there is room on disk for what a build will write, asked before it is written.
+//!
+//! Before the scan only the input's size is known: a triangle takes about as much text as its record takes bytes, and
+//! records are on disk twice while they are sorted. After it the triangles are counted, and so is the space.
+
+use std::path::Path;
+
+use crate::error::{Error, Result};
+use crate::event::Monitor;
+
+/// Bytes of the output for each triangle, about.
+const OUTPUT: u64 = 24;
+
+/// Fails if a source of `size` bytes will need more temporary space than `folder` has; says how much that is.
+///
+/// What is expected to stay in `memory` needs none.
+pub(super) fn check_before(size: Option<u64>, memory: u64, folder: &Path, monitor: Monitor<'_>) -> Result<()> {
+    match size {
+        Some(size) if 2 * size > memory => {
+            let needed = 2 * size;
+            monitor.note(format!(
+                "about {} MB of temporary files will lie in {}",
+                needed / 1_000_000,
+                folder.display()
+            ));
+            check(needed, folder)
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Fails if records of `bytes`, to be sorted, and the pages of so many triangles do not find room.
+pub(super) fn check_after(bytes: u64, triangles: u64, folder: &Path, output: &Path) -> Result<()> {
+    let pages = OUTPUT * triangles;
+    let beside = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    if same_disk(folder, beside) {
+        return check(2 * bytes + pages, folder);
+    }
+    check(2 * bytes, folder)?;
+    check(pages, beside)
+}
+
+fn check(needed: u64, folder: &Path) -> Result<()> {
+    match available(folder) {
+        Some(free) if free < needed => {
+            let megabytes = |bytes: u64| bytes.div_ceil(1_000_000);
+            let what = format!(
+                "about {} MB are needed, and {} MB are free; make room, or name another folder with --temp",
+                megabytes(needed),
+                megabytes(free)
+            );
+            let source = std::io::Error::new(std::io::ErrorKind::StorageFull, what);
+            Err(Error::Io { file: folder.to_owned(), doing: "hold the files of this build", source })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Bytes that may be written in a folder, if the system tells.
+#[cfg(unix)]
+fn available(folder: &Path) -> Option<u64> {
+    let disk = nix::sys::statvfs::statvfs(folder).ok()?;
+    Some(disk.blocks_available() as u64 * disk.fragment_size() as u64)
+}
+
+#[cfg(not(unix))]
+fn available(_: &Path) -> Option<u64> {
+    None
+}
+
+#[cfg(unix)]
+fn same_disk(a: &Path, b: &Path) -> bool {
+    use std::os::unix::fs::MetadataExt;
+    let disk = |path: &Path| std::fs::metadata(path).map(|data| data.dev()).ok();
+    disk(a) == disk(b)
+}
+
+#[cfg(not(unix))]
+fn same_disk(_: &Path, _: &Path) -> bool {
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Kind;
+
+    #[test]
+    fn what_does_not_fit_is_told_before_it_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let silent = Monitor::silent();
+        assert!(
+            check_before(Some(1 << 60), 1 << 30, folder.path(), silent).is_err() || available(folder.path()).is_none()
+        );
+        check_before(Some(1 << 20), 1 << 30, folder.path(), silent).unwrap();
+        check_before(None, 1 << 30, folder.path(), silent).unwrap();
+        check_after(1 << 10, 10, folder.path(), &folder.path().join("a.oct")).unwrap();
+        if let Err(error) = check_after(1 << 60, 1, folder.path(), Path::new("a.oct")) {
+            assert!(error.kind() == Kind::Machine && error.to_string().contains("--temp"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,112 @@
+//! The folder in which a build keeps its temporary files.
+//!
+//! It is named after the output, so that a build that was killed is found again, and is made when the first file is:
+//! a small mesh never needs it. The output's partial file, which is locked while a build runs, guards it as well.
+
+use std::fs::{self, File, OpenOptions};
+use std::path::{Path, PathBuf};
+
+use xxhash_rust::xxh3::xxh3_64;
+
+use crate::error::{Error, Result};
+
+/// A folder for temporary files, removed with all that is in it when the value goes. Only a process that is killed leaves it.
+pub(super) struct WorkFolder {
+    path: PathBuf,
+}
+
+impl WorkFolder {
+    /// The folder of the build that writes `output`, in `temp`. What an earlier build left there stays. If another process
+    /// writes the same output now (this is not the `first` to do so), the folder has a name of its own.
+    ///
+    /// Fails if nothing can be written in `temp`, which is tried, so that it is told before a long scan.
+    pub fn new(temp: &Path, output: &Path, first: bool) -> Result<WorkFolder> {
+        tempfile::tempfile_in(temp).map_err(Error::io(temp, "create a temporary file in this folder"))?;
+        let whole = std::path::absolute(output).unwrap_or_else(|_| output.to_owned());
+        let name = output.file_name().unwrap_or_default().to_string_lossy();
+        let hash = xxh3_64(whole.as_os_str().as_encoded_bytes()) as u32;
+        let unique = if first { String::new() } else { format!("-{}", std::process::id()) };
+        Ok(WorkFolder { path: temp.join(format!(".{name}-{hash:08x}{unique}.octbuild")) })
+    }
+
+    /// The folder that it lies in.
+    pub fn temp(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new("."))
+    }
+
+    /// Where it lies, or would.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Removes what an earlier build left.
+    pub fn clear(&self) -> Result<()> {
+        match fs::remove_dir_all(&self.path) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                Err(Error::io(&self.path, "remove what an earlier build left here")(error))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// A new, empty file of that name in it.
+    pub fn create(&self, name: &str) -> Result<File> {
+        fs::create_dir_all(&self.path).map_err(Error::io(&self.path, "create this folder for temporary files"))?;
+        let mut options = OpenOptions::new();
+        let path = self.path.join(name);
+        options.read(true).write(true).create(true).truncate(true).open(&path).map_err(Error::io(&path, "create"))
+    }
+
+    /// A file that an earlier build left.
+    pub fn reopen(&self, name: &str) -> Result<File> {
+        let path = self.path.join(name);
+        OpenOptions::new().read(true).write(true).open(&path).map_err(Error::io(&path, "open again"))
+    }
+
+    /// Removes a file; that is no error if there is none.
+    pub fn remove(&self, name: &str) {
+        let _ = fs::remove_file(self.path.join(name));
+    }
+}
+
+impl Drop for WorkFolder {
+    fn drop(&mut self) {
+        // What cannot be removed now is named after the output, and removed by its next build.
+        let _ = fs::remove_dir_all(&self.path);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn it_is_made_with_the_first_file_and_goes_with_the_value() {
+        let temp = tempfile::tempdir().unwrap();
+        let entries = || fs::read_dir(temp.path()).unwrap().count();
+        let work = WorkFolder::new(temp.path(), Path::new("out/a.oct"), true).unwrap();
+        assert_eq!(entries(), 0);
+        work.create("faces").unwrap();
+        assert_eq!(entries(), 1);
+        drop(work);
+        assert_eq!(entries(), 0);
+        let work = WorkFolder::new(temp.path(), Path::new("out/a.oct"), true).unwrap();
+        work.create("faces").unwrap();
+        // As a kill does.
+        std::mem::forget(work);
+        let other = WorkFolder::new(temp.path(), Path::new("in/a.oct"), true).unwrap();
+        assert!(other.reopen("faces").is_err());
+        let again = WorkFolder::new(temp.path(), Path::new("out/a.oct"), true).unwrap();
+        again.reopen("faces").unwrap();
+        again.clear().unwrap();
+        again.clear().unwrap();
+        assert_eq!(entries(), 0);
+    }
+
+    #[test]
+    fn the_folder_that_is_not_there_is_named() {
+        let message =
+            WorkFolder::new(Path::new("/no/such/folder"), Path::new("a.oct"), true).err().unwrap().to_string();
+        assert!(message.starts_with("/no/such/folder: cannot create a temporary file in"), "{message}");
+    }
+}
