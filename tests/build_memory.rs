@@ -171,7 +171,7 @@ fn very_many_materials() {
 #[test]
 fn a_page_too_large_for_the_memory_is_told() {
     let lab = Lab::new();
-    lab.write("a.obj", strip(500_000, false, |_| {}));
+    lab.write("a.obj", strip(1_500_000, false, |_| {}));
     let line = ["a.obj", "-o", "a.oct", "--memory", "64M", "--brick", "1000000"];
     let error = lab.fails(2, "octbuild", &line);
     assert!(error.contains("--brick"), "{error}");

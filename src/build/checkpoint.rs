@@ -54,6 +54,7 @@ pub(super) struct JoinedState {
     dropped: [u64; 4],
     polygons: [u64; 3],
     merged: u64,
+    shift: u64,
     bounds: [u32; 6],
     all_bounds: [u32; 6],
     materials: Vec<MaterialState>,
@@ -141,6 +142,7 @@ impl JoinedState {
             dropped: [d.degenerate, d.non_finite, d.bad_index, d.too_few_corners],
             polygons: [p.cut, p.clipped, p.fanned],
             merged: tally.merged,
+            shift: tally.shift.to_bits(),
             bounds: bits(tally.bounds),
             all_bounds: bits(tally.all_bounds),
             materials: materials.iter().map(material).collect(),
@@ -160,6 +162,7 @@ impl JoinedState {
             dropped: Dropped { degenerate, non_finite, bad_index, too_few_corners },
             polygons: Polygons { cut, clipped, fanned },
             merged: self.merged,
+            shift: f64::from_bits(self.shift),
             bounds: bounds(self.bounds),
             all_bounds: bounds(self.all_bounds),
         }

@@ -25,6 +25,7 @@ use super::record::{Layout, Record};
 use super::report::Polygons;
 use super::scan::Scan;
 use super::sketch::Sketch;
+use super::snap::Snap;
 use super::spool::Spool;
 use super::table::View;
 use super::work::WorkFolder;
@@ -37,6 +38,8 @@ pub(super) struct Tally {
     pub polygons: Polygons,
     /// See [`super::BuildReport::merged`].
     pub merged: u64,
+    /// See [`super::BuildReport::largest_shift`].
+    pub shift: f64,
     /// Of the kept triangles.
     pub bounds: Aabb,
     /// Of the vertices of all faces that were not dropped as a whole.
@@ -46,7 +49,7 @@ pub(super) struct Tally {
 impl Tally {
     pub fn new() -> Self {
         let (dropped, polygons) = Default::default();
-        Tally { kept: 0, dropped, polygons, merged: 0, bounds: Aabb::EMPTY, all_bounds: Aabb::EMPTY }
+        Tally { kept: 0, dropped, polygons, merged: 0, shift: 0.0, bounds: Aabb::EMPTY, all_bounds: Aabb::EMPTY }
     }
 
     fn add(&mut self, other: &Tally) {
@@ -56,6 +59,7 @@ impl Tally {
         self.dropped.bad_index += other.dropped.bad_index;
         self.polygons += other.polygons;
         self.merged += other.merged;
+        self.shift = self.shift.max(other.shift);
         self.bounds = self.bounds.union(other.bounds);
         self.all_bounds = self.all_bounds.union(other.all_bounds);
     }
@@ -86,10 +90,11 @@ pub(super) fn join<'a>(
     work: &'a WorkFolder,
     tuning: &Tuning,
     grid: Option<(&mut Grid, Placement)>,
+    snap: Option<Snap>,
     monitor: Monitor<'_>,
 ) -> Result<Joined<'a>> {
     let layout = scan.layout();
-    let mut join = Join { scan, layout, fates: vec![Fate::Kept; scan.faces.large.len()], grid };
+    let mut join = Join { scan, layout, fates: vec![Fate::Kept; scan.faces.large.len()], grid, snap };
     loop {
         let records = Spool::new(work, "records", tuning.record_words);
         let mut joined = Joined { records, layout, tally: Tally::new(), points: 0 };
@@ -114,6 +119,7 @@ struct Join<'a> {
     /// Of the large faces.
     fates: Vec<Fate>,
     grid: Option<(&'a mut Grid, Placement)>,
+    snap: Option<Snap>,
 }
 
 impl Join<'_> {
@@ -265,6 +271,12 @@ impl Joiner<'_> {
             Fate::BadIndex => return tally.dropped.bad_index += triangles,
             Fate::NonFinite => return tally.dropped.non_finite += triangles,
             Fate::Kept => {}
+        }
+        if let Some(snap) = self.join.snap {
+            for point in points.iter_mut() {
+                let (snapped, shift) = snap.point(*point);
+                (*point, tally.shift) = (snapped, tally.shift.max(shift));
+            }
         }
         tally.all_bounds = tally.all_bounds.union(Aabb::around(points.iter().map(|&p| p.into())));
         if face.corners.len() == 3 {

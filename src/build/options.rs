@@ -7,13 +7,15 @@ use crate::format::{LEAF_MAX, SplitMode};
 use crate::geometry::morton;
 
 use super::record::Layout;
+use super::snap::Positions;
 
 /// How to build. `Default` is what `octbuild` does without flags.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BuildOptions {
     /// How cells are split.
     pub split: SplitMode,
-    /// Most triangles in a page, at least 1; `None`: one page up to 2^18 triangles, beyond that 16384.
+    /// Most triangles in a page, at least 1; `None`: one page for up to some 130 thousand triangles (half of that with
+    /// attributes), beyond that 16384.
     pub brick: Option<u32>,
     /// Most triangles in a leaf record, 1 to 16.
     pub leaf: u8,
@@ -23,6 +25,8 @@ pub struct BuildOptions {
     pub depth: u8,
     /// Whether face ids are stored.
     pub ids: bool,
+    /// Whether positions are stored as they are or moved to a grid.
+    pub positions: Positions,
     /// Level, 1 to 22, at which pages are packed with zstd; `None`: they are not, so that they can be used where they lie.
     pub compress: Option<i32>,
     /// The origin that the source subtracts from its coordinates, recorded in the header.
@@ -50,6 +54,7 @@ impl Default for BuildOptions {
             cell: 16,
             depth: morton::BITS as u8,
             ids: true,
+            positions: Positions::Exact,
             compress: None,
             origin: [0.0; 3],
             memory: 1 << 30,
@@ -61,8 +66,8 @@ impl Default for BuildOptions {
     }
 }
 
-/// Most triangles of a file of one brick, when the builder chooses.
-const ONE_BRICK: u64 = 1 << 18;
+/// Bytes that building a file of one brick may take, when the builder chooses: what the least memory has room for.
+const ONE_BRICK: u64 = 32 << 20;
 /// Most triangles of a brick of a larger file, when the builder chooses.
 const MANY_BRICKS: u32 = 16_384;
 
@@ -101,6 +106,11 @@ impl BuildOptions {
         if self.compress.is_some_and(|level| !(1..=22).contains(&level)) {
             return wrong("zstd has levels 1 to 22".into());
         }
+        if let Positions::Grid(Some(step)) = self.positions
+            && !(step > 0.0 && step.is_finite())
+        {
+            return wrong("the step of the grid is not a positive number".into());
+        }
         if self.memory < Self::LEAST_MEMORY {
             return wrong(format!("{} bytes of memory are too few; at least 64 MiB are needed", self.memory));
         }
@@ -111,8 +121,10 @@ impl BuildOptions {
     }
 
     /// Most triangles of a brick in a mesh of `triangles`.
-    pub(super) fn brick_limit(&self, triangles: u64) -> u32 {
-        self.brick.unwrap_or(if triangles <= ONE_BRICK { ONE_BRICK as u32 } else { MANY_BRICKS })
+    pub(super) fn brick_limit(&self, triangles: u64, layout: Layout) -> u32 {
+        // The same for all ways to split, so that they can be compared.
+        let one = ONE_BRICK / alone_bytes(layout, SplitMode::Sah);
+        self.brick.unwrap_or(if triangles <= one { one as u32 } else { MANY_BRICKS })
     }
 
     /// The folder for temporary files of a build that writes `output`.
@@ -205,6 +217,13 @@ impl Tuning {
     pub fn wave(&self, layout: Layout) -> u64 {
         self.wave_bytes / brick_bytes(layout)
     }
+}
+
+/// Bytes a triangle of a brick takes that is built alone, from its record on.
+pub(super) fn alone_bytes(layout: Layout, split: SplitMode) -> u64 {
+    // Strict bricks hold a triangle several times.
+    let repeats = if split == SplitMode::Strict { 6 } else { 1 };
+    brick_bytes(layout) * repeats + 4 * layout.words() as u64 + 28
 }
 
 /// Bytes a triangle of a brick takes while the brick is built: its copy, the tree (see [`super::subtree`]), the page.

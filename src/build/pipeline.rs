@@ -18,7 +18,7 @@ use super::distribute::{Chunk, Extent, Records, Sorting};
 use super::grid::{CellCode, Grid, Placement, Unit};
 use super::join::{Tally, join};
 use super::materials::materials;
-use super::options::{BuildOptions, Tuning, brick_bytes};
+use super::options::{BuildOptions, Tuning, alone_bytes};
 use super::origin::{suggestion, warn_if_merged};
 use super::phases::Phases;
 use super::polygon::CLIP_LIMIT;
@@ -26,6 +26,7 @@ use super::record::Layout;
 use super::report::BuildReport;
 use super::room::{check_after, check_before};
 use super::scan::scan;
+use super::snap::Snap;
 use super::spool::Spool;
 use super::subtree::{Cell, TopBrick, build_top, top_levels};
 use super::work::WorkFolder;
@@ -133,8 +134,9 @@ fn read<'w>(
     }
     phases.begin("join");
     let guess = Placement { root: RootCube::around(scan.bounds), split: options.split };
+    let snap = Snap::new(options.positions, scan.bounds);
     let mut grid = scan.counts_ahead(options, &tuning).then(|| Grid::new(CellCode::ROOT, tuning.first_grid(options)));
-    let joined = join(&scan, work, &tuning, grid.as_mut().map(|grid| (grid, guess)), monitor)?;
+    let joined = join(&scan, work, &tuning, grid.as_mut().map(|grid| (grid, guess)), snap, monitor)?;
     check_joined(&joined.tally, options, monitor)?;
     let root = RootCube::around(joined.tally.bounds);
     let mesh = Mesh {
@@ -217,8 +219,6 @@ fn check_joined(tally: &Tally, options: &BuildOptions, monitor: Monitor<'_>) -> 
 
 /// Bytes held of each page until the end, its share of the top tree included.
 const PAGE_BYTES: u64 = 320;
-/// Times as much as others that a strict brick takes: its triangles repeat.
-const STRICT_BRICK: u64 = 6;
 
 /// A file being built, from the join on.
 struct Build<'a> {
@@ -259,7 +259,7 @@ impl<'a> Build<'a> {
                 unit: if shares_few { LeafUnit::B32 } else { LeafUnit::B16 },
                 wide_materials: mesh.materials.len() > usize::from(u16::MAX),
             },
-            rule: BrickRule { placement, limit: options.brick_limit(tally.kept), depth: options.depth.into() },
+            rule: BrickRule { placement, limit: options.brick_limit(tally.kept, layout), depth: options.depth.into() },
             report: BuildReport {
                 triangles: tally.kept,
                 source_triangles: mesh.triangles,
@@ -267,6 +267,7 @@ impl<'a> Build<'a> {
                 dropped: tally.dropped,
                 polygons: tally.polygons,
                 merged: tally.merged,
+                largest_shift: tally.shift,
                 ..Default::default()
             },
             attributes: 0,
@@ -286,9 +287,8 @@ impl<'a> Build<'a> {
     /// Fails if a brick, or the records of all bricks, would not fit in the memory.
     fn check_memory(&self) -> Result<()> {
         let largest = u64::from(self.rule.limit).min(self.report.triangles);
-        let repeats = if self.rule.placement.repeats() { STRICT_BRICK } else { 1 };
         // Alone, a brick may have the whole share of a chunk and of a wave, and its records too.
-        let needed = largest * (brick_bytes(self.layout) * repeats + 4 * self.layout.words() as u64 + 28);
+        let needed = largest * alone_bytes(self.layout, self.options.split);
         let there = self.tuning.chunk_bytes + self.tuning.wave_bytes + self.tuning.wave_bytes / 2;
         if needed <= there {
             return Ok(());

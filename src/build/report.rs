@@ -39,6 +39,8 @@ pub struct BuildReport {
     pub polygons: Polygons,
     /// Degenerate triangles with two different vertices of bit-equal position: the mark of coordinates too large for f32.
     pub merged: u64,
+    /// How far a vertex was moved to the grid, on any axis; 0 where positions are exact.
+    pub largest_shift: f64,
     /// Length of the file.
     pub bytes: u64,
     /// Length of the file by triangles.

@@ -43,9 +43,9 @@ impl Scan<'_> {
 
     /// Whether triangles will have to be sorted into chunks, so that it pays to count them while they are joined.
     pub fn counts_ahead(&self, options: &BuildOptions, tuning: &Tuning) -> bool {
-        // A record of any layout is at least as large as one without attributes.
-        let chunk = tuning.chunk(Layout::default()).max(options.brick_limit(self.faces.triangles()).into());
-        options.split != SplitMode::Strict && !self.bounds.is_empty() && self.faces.triangles() > chunk
+        let (layout, triangles) = (self.layout(), self.faces.triangles());
+        let chunk = tuning.chunk(layout).max(options.brick_limit(triangles, layout).into());
+        options.split != SplitMode::Strict && !self.bounds.is_empty() && triangles > chunk
     }
 }
 

@@ -300,6 +300,113 @@ fn interrupted_at_any_time_it_leaves_the_older_file_only() {
     assert_eq!(read_back(&folder.path().join("a.oct")).len(), 450);
 }
 
+/// Copies all that is in a folder, folders included.
+fn copy_all(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).unwrap();
+    for entry in std::fs::read_dir(from).unwrap().map(|entry| entry.unwrap()) {
+        let goal = to.join(entry.file_name());
+        match entry.file_type().unwrap().is_dir() {
+            true => copy_all(&entry.path(), &goal),
+            false => drop(std::fs::copy(entry.path(), goal).unwrap()),
+        }
+    }
+}
+
+/// Builds until so many events were seen, and leaves the folder as it was then, as a kill would; whether it came to that.
+fn killed_after(events: usize, mesh: &Memory, folder: &Path, options: &BuildOptions) -> bool {
+    let left = tempfile::tempdir().unwrap();
+    let (stop, seen) = (AtomicBool::new(false), AtomicUsize::new(0));
+    let sink = |_: Event| {
+        if seen.fetch_add(1, Ordering::Relaxed) + 1 == events {
+            copy_all(folder, left.path());
+            stop.store(true, Ordering::Relaxed);
+        }
+    };
+    let monitor = Monitor::new(&sink, &stop);
+    let result = build_tuned(&mut mesh.clone(), &folder.join("a.oct"), options, &TINY, monitor);
+    copy_all(left.path(), folder);
+    result.is_err()
+}
+
+#[test]
+fn a_killed_build_is_taken_up_with_the_same_bytes() {
+    let mesh = sheet(15);
+    for compress in [None, Some(1)] {
+        let options = BuildOptions { source: Some("sheet".into()), compress, ..options(SplitMode::Sah, 40) };
+        let (_, _, bytes) = round_trip(&mesh, &options, &TINY);
+        let (mut events, mut skipped) = (1, [0; 2]);
+        loop {
+            let folder = tempfile::tempdir().unwrap();
+            if !killed_after(events, &mesh, folder.path(), &options) {
+                break;
+            }
+            let again = BuildOptions { resume: true, ..options.clone() };
+            let report = build_in(folder.path(), &mesh, &again, &TINY).unwrap();
+            let names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
+            assert_eq!(names, ["a.oct"], "after {events} events");
+            assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == bytes, "after {events} events");
+            let has = |name: &str| report.phases.iter().any(|phase| phase.name == name);
+            skipped[0] += usize::from(!has("scan"));
+            skipped[1] += usize::from(!has("scan") && !has("distribute"));
+            events += 1;
+        }
+        assert!(skipped[0] > skipped[1] && skipped[1] > 10, "{skipped:?} of {events}");
+    }
+}
+
+#[test]
+fn what_another_build_left_is_not_taken_up() {
+    let (mesh, other) = (sheet(15), sheet(14));
+    let folder = tempfile::tempdir().unwrap();
+    let options = BuildOptions { source: Some("sheet".into()), ..options(SplitMode::Sah, 40) };
+    let (_, _, bytes) = round_trip(&other, &options, &TINY);
+    // While chunks are written.
+    let seen = AtomicUsize::new(0);
+    let count = |_: Event| {
+        seen.fetch_add(1, Ordering::Relaxed);
+    };
+    let stop = AtomicBool::new(false);
+    let monitor = Monitor::new(&count, &stop);
+    build_tuned(&mut mesh.clone(), &folder.path().join("a.oct"), &options, &TINY, monitor).unwrap();
+    let events = seen.into_inner() * 3 / 4;
+    for again in [
+        BuildOptions { source: Some("other".into()), resume: true, ..options.clone() },
+        BuildOptions { leaf: 7, resume: true, ..options.clone() },
+        options.clone(),
+    ] {
+        assert!(killed_after(events, &mesh, folder.path(), &options));
+        let again_bytes = BuildOptions { resume: false, ..again.clone() };
+        build_in(folder.path(), &other, &again, &TINY).unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the finished file only");
+        let (_, _, expected) = round_trip(&other, &again_bytes, &TINY);
+        assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == expected);
+    }
+    assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == bytes);
+}
+
+#[test]
+fn a_bad_corner_drops_all_of_a_large_face() {
+    let mut mesh = sheet(100);
+    let n = 5000u32;
+    let large = |first: u32, last: u32| [(first..first + n - 1).collect::<Vec<_>>(), vec![last]].concat();
+    mesh.positions[9000] = [f32::INFINITY, 0.0, 0.0];
+    mesh.batches = vec![FaceBatch {
+        sizes: vec![n, 3, n, n, 3],
+        corners: [&large(0, 5100)[..], &[1, 2, 105], &large(10, 9000), &large(20, 99_999), &[3, 4, 107]].concat(),
+        ..Default::default()
+    }];
+    let (tiny, stored, bytes) = round_trip(&mesh, &options(SplitMode::Sah, 900), &TINY);
+    let (roomy, _, same) = round_trip(&mesh, &options(SplitMode::Sah, 900), &roomy());
+    let fan = u64::from(n) - 2;
+    for report in [tiny, roomy] {
+        assert_eq!((report.dropped.non_finite, report.dropped.bad_index), (fan, fan));
+        assert_eq!((report.polygons.fanned, report.polygons.cut, report.source_triangles), (1, 1, 3 * fan + 2));
+        assert_eq!(report.triangles + report.dropped.degenerate, fan + 2);
+    }
+    assert!(bytes == same);
+    assert!(stored.iter().all(|s| u64::from(s.face) <= fan || u64::from(s.face) == 3 * fan + 1));
+}
+
 #[test]
 fn folders_that_are_not_there_are_named() {
     let folder = tempfile::tempdir().unwrap();

@@ -23,7 +23,7 @@ mod tests {
 
     #[test]
     fn pages_come_back() {
-        let page: Vec<u8> = (0..640u32).map(|i| (i * i / 50) as u8).collect();
+        let page: Vec<u8> = (0..640u32).map(|i| (i / 10) as u8).collect();
         for level in [1, 19] {
             let stored = pack(&page, level).unwrap();
             assert!(stored.len() < page.len());

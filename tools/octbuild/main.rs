@@ -13,7 +13,7 @@ use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
 use glam::DVec3;
-use octrace::build::{self, BuildOptions};
+use octrace::build::{self, BuildOptions, Positions};
 use octrace::format::SplitMode;
 use octrace::mesh::{self, ReadOptions};
 use octrace::{Error, Result};
@@ -41,6 +41,8 @@ struct Args {
     #[command(flatten)]
     tree: Tree,
     #[command(flatten)]
+    content: Content,
+    #[command(flatten)]
     resources: Resources,
     #[command(flatten)]
     common: Common,
@@ -55,7 +57,7 @@ struct Tree {
     /// How cells are split
     #[arg(long, value_enum, default_value_t = Split::Sah)]
     split: Split,
-    /// Most triangles a page, from 1 [default: 16384, or 262144 for a file that fits in one page]
+    /// Most triangles a page, from 1 [default: 16384; a mesh of up to some 130000 is one page]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     brick: Option<u32>,
     /// Most triangles in a leaf record, 1 to 16 [default: 16]
@@ -70,9 +72,29 @@ struct Tree {
     /// Leave out face ids: 4 bytes a triangle less, and hits name places in the file instead
     #[arg(long)]
     no_ids: bool,
+}
+
+/// What is stored, and how.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Content")]
+struct Content {
+    /// Positions as they are, or moved to a grid of this step, one for all [default step: 2^-19 of the mesh's size]
+    #[arg(long, value_name = "exact|grid[:STEP]", value_parser = positions, default_value = "exact")]
+    positions: Positions,
     /// Pack pages, for shipping and slow disks; they are unpacked into memory when they are used [default level: 3]
     #[arg(long, value_name = "none|zstd[:LEVEL]", value_parser = compression, default_value = "none")]
     compress: Compression,
+}
+
+/// `exact`, `grid` or `grid:STEP`.
+fn positions(text: &str) -> std::result::Result<Positions, String> {
+    let step = |text: &str| text.parse::<f64>().ok().filter(|step| *step > 0.0 && step.is_finite());
+    match (text, text.strip_prefix("grid:").and_then(step)) {
+        ("exact", _) => Ok(Positions::Exact),
+        ("grid", _) => Ok(Positions::Grid(None)),
+        (_, Some(step)) => Ok(Positions::Grid(Some(step))),
+        _ => Err("expected exact, grid, or grid:STEP with a positive number".into()),
+    }
 }
 
 /// How pages are packed.
@@ -155,7 +177,6 @@ impl Tree {
             cell: self.cell.unwrap_or(default.cell),
             depth: self.depth.unwrap_or(default.depth),
             ids: !self.no_ids,
-            compress: self.compress.0,
             ..default
         })
     }
@@ -173,6 +194,8 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     let tree = args.tree.options()?;
     let options = BuildOptions {
         origin,
+        positions: args.content.positions,
+        compress: args.content.compress.0,
         name: Some(args.input.clone()),
         memory: args.resources.memory.unwrap_or(tree.memory),
         temp: args.resources.temp.clone(),

@@ -22,6 +22,7 @@ pub struct Stats {
     nodes: u64,
     leaves: u64,
     depth: u32,
+    largest_shift: f64,
     bytes: u64,
     bytes_per_triangle: f64,
     seconds: f64,
@@ -72,6 +73,7 @@ impl Stats {
             nodes: report.nodes,
             leaves: report.leaves,
             depth: report.depth,
+            largest_shift: report.largest_shift,
             bytes: report.bytes,
             bytes_per_triangle: report.bytes_per_triangle,
             seconds,
@@ -91,6 +93,9 @@ pub fn line(output: &Path, report: &BuildReport, seconds: f64) -> String {
         HumanCount(report.bytes),
         report.bytes_per_triangle,
     );
+    if report.largest_shift > 0.0 {
+        line += &format!("; moved vertices by up to {:.3e} on an axis", report.largest_shift);
+    }
     let d = report.dropped;
     let dropped: Vec<String> = [
         (d.degenerate, "triangles of zero area"),

@@ -196,7 +196,9 @@ impl<'a> Body<'a> {
                 sink.positions(&positions)?;
                 sink.normals(&normals)?;
                 sink.texcoords(&texcoords)?;
-                (positions.clear(), normals.clear(), texcoords.clear());
+                positions.clear();
+                normals.clear();
+                texcoords.clear();
                 (self.progress)();
             }
         }
