@@ -6,11 +6,11 @@
 //! that fit in memory, within one temporary file; **chunks** takes them in the order of the curve, cuts each into bricks
 //! and writes their pages; **stitch** adds the top of the tree and the header. A mesh that fits in one chunk skips the sorting.
 //!
-//! Memory is bounded by [`BuildOptions::memory`], of which each phase has its shares ([`options`]). Only the directory of
+//! Memory is bounded by [`BuildOptions::memory`], of which each phase has its shares (`options.rs`). Only the directory of
 //! pages, materials, and a list of face blocks grow with the mesh, by far less than a byte a triangle.
 //!
 //! A build that was killed leaves its work folder and a partial file; [`BuildOptions::resume`] goes on from there
-//! ([`checkpoint`]).
+//! (`checkpoint.rs`).
 //!
 //! The bricks are true octree cells and depend on the mesh and the options only, never on the size of a chunk or the
 //! number of threads; so the same input gives the same bytes. Work runs on the current rayon pool.
