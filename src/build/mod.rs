@@ -43,6 +43,7 @@ pub(crate) mod subtree;
 mod table;
 #[cfg(test)]
 mod tests;
+mod triangles;
 mod words;
 mod work;
 

@@ -8,27 +8,21 @@ use rayon::prelude::*;
 use crate::error::{Error, Result};
 use crate::event::Monitor;
 use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, SplitMode, Top};
-use crate::geometry::RootCube;
 use crate::mesh::TriangleSource;
 
 use super::brick::{BrickBuilder, BuiltBrick};
-use super::checkpoint::{ChunkState, JoinedState, PageEntry, PageLog, State};
+use super::checkpoint::{ChunkState, PageEntry, PageLog, State};
 use super::chunk::{BrickList, BrickRule, bricks};
 use super::distribute::{Chunk, Extent, Records, Sorting};
 use super::grid::{CellCode, Grid, Placement, Unit};
-use super::join::{Tally, join};
 use super::materials::materials;
 use super::options::{BuildOptions, Tuning, alone_bytes};
-use super::origin::{suggestion, warn_if_merged};
 use super::phases::Phases;
-use super::polygon::CLIP_LIMIT;
 use super::record::Layout;
 use super::report::BuildReport;
-use super::room::{check_after, check_before};
-use super::scan::scan;
-use super::snap::Snap;
 use super::spool::Spool;
 use super::subtree::{Cell, TopBrick, build_top, top_levels};
+use super::triangles::{Mesh, Stage, Triangles, read, taken_up};
 use super::work::WorkFolder;
 
 /// Builds the octree file `output` from `source`.
@@ -80,141 +74,6 @@ pub(super) fn build_tuned(
     let mut report = build.finish(output)?;
     report.phases = phases.finish();
     Ok(report)
-}
-
-/// The triangles of a mesh, ready to be built, and all else that is needed of it.
-struct Triangles<'w> {
-    mesh: Mesh,
-    stage: Stage<'w>,
-    /// What to note of the build, if it can be taken up.
-    state: Option<State>,
-}
-
-/// What is still needed of the source.
-struct Mesh {
-    layout: Layout,
-    tally: Tally,
-    /// Different points, about.
-    points: u64,
-    materials: Vec<crate::mesh::MaterialInfo>,
-    vertices: u64,
-    triangles: u64,
-    root: RootCube,
-}
-
-/// How far the triangles are.
-enum Stage<'w> {
-    /// In the source's order, perhaps counted.
-    Joined(Spool<'w>, Option<Grid>),
-    /// Sorted into chunks, some of which may be written.
-    Sorted(Spool<'w>, Vec<Chunk>),
-}
-
-/// Reads the source and joins its faces.
-fn read<'w>(
-    source: &mut dyn TriangleSource,
-    (work, output): (&'w WorkFolder, &Path),
-    options: &BuildOptions,
-    tuning: &Tuning,
-    phases: &mut Phases<'_>,
-    monitor: Monitor<'_>,
-) -> Result<Triangles<'w>> {
-    check_before(source.size_hint(), options.memory, work.temp(), monitor)?;
-    phases.begin("scan");
-    let mut scan = scan(source, work, tuning, monitor)?;
-    let mut tuning = *tuning;
-    if scan.is_spilled() {
-        // Memory goes to windows on the tables.
-        scan.faces.spill()?;
-        tuning.record_words = 0;
-    }
-    let records = scan.faces.triangles() * 4 * scan.layout().words() as u64;
-    if records > 4 * tuning.record_words as u64 {
-        check_after(records, scan.faces.triangles(), work.temp(), output)?;
-    }
-    phases.begin("join");
-    let guess = Placement { root: RootCube::around(scan.bounds), split: options.split };
-    let snap = Snap::new(options.positions, scan.bounds);
-    let mut grid = scan.counts_ahead(options, &tuning).then(|| Grid::new(CellCode::ROOT, tuning.first_grid(options)));
-    let joined = join(&scan, work, &tuning, grid.as_mut().map(|grid| (grid, guess)), snap, monitor)?;
-    check_joined(&joined.tally, options, monitor)?;
-    let root = RootCube::around(joined.tally.bounds);
-    let mesh = Mesh {
-        layout: joined.layout,
-        tally: joined.tally,
-        points: joined.points,
-        vertices: scan.positions.len(),
-        triangles: scan.faces.triangles(),
-        materials: std::mem::take(&mut scan.info.materials),
-        root,
-    };
-    // A state of very many materials would be large itself.
-    let noted = joined.records.memory().is_none() && mesh.materials.len() <= 1 << 16;
-    let state = if noted { State::new(options, mesh.state(joined.records.len())) } else { None };
-    state.as_ref().map_or(Ok(()), |state| state.save(work))?;
-    Ok(Triangles { mesh, stage: Stage::Joined(joined.records, grid.filter(|_| root == guess.root)), state })
-}
-
-/// What a killed build left, if it is whole.
-fn taken_up<'w>(work: &'w WorkFolder, options: &BuildOptions) -> Option<Triangles<'w>> {
-    let state = State::load(work, options)?;
-    let stage = match &state.chunks {
-        Some(chunks) => {
-            let end = chunks.iter().map(ChunkState::end).max().unwrap_or(0);
-            let chunks = chunks.iter().map(ChunkState::chunk).collect();
-            Stage::Sorted(Spool::reopen(work, "chunks0", end)?, chunks)
-        }
-        None => Stage::Joined(Spool::reopen(work, "records", state.joined.record_words)?, None),
-    };
-    let mesh = Mesh::of(&state.joined);
-    Some(Triangles { mesh, stage, state: Some(state) })
-}
-
-impl Mesh {
-    fn state(&self, record_words: u64) -> JoinedState {
-        let numbers = [self.points, self.vertices, self.triangles, record_words];
-        JoinedState::new(&self.tally, self.layout, numbers, &self.materials)
-    }
-
-    fn of(state: &JoinedState) -> Mesh {
-        let tally = state.tally();
-        Mesh {
-            layout: state.layout(),
-            tally,
-            points: state.points,
-            materials: state.materials(),
-            vertices: state.vertices,
-            triangles: state.triangles,
-            root: RootCube::around(tally.bounds),
-        }
-    }
-}
-
-/// Says what the join dropped or could not do well; fails if nothing is left.
-fn check_joined(tally: &Tally, options: &BuildOptions, monitor: Monitor<'_>) -> Result<()> {
-    let dropped = tally.dropped;
-    if tally.kept == 0 {
-        let mut what = String::from("holds no triangles");
-        if dropped != Default::default() {
-            what += &format!(
-                " that can be hit (dropped: {} of zero area, {} with a vertex that is not finite, {} with a bad index; \
-                 {} faces with too few corners)",
-                dropped.degenerate, dropped.non_finite, dropped.bad_index, dropped.too_few_corners
-            );
-        }
-        if let Some(origin) = suggestion(tally, options) {
-            what += &format!("; it lies far from zero, where single precision merges vertices: try --origin {origin}");
-        }
-        return Err(Error::Input { file: options.source_name(), what });
-    }
-    warn_if_merged(tally, options, monitor);
-    if tally.polygons.fanned > 0 {
-        monitor.warn(format!(
-            "{} faces have more than {CLIP_LIMIT} corners and were cut as fans, which overlap where a face is concave",
-            tally.polygons.fanned
-        ));
-    }
-    Ok(())
 }
 
 /// Bytes held of each page until the end, its share of the top tree included.
