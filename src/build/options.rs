@@ -77,7 +77,7 @@ impl BuildOptions {
 
     /// The part of the memory that a source may use: give it to [`crate::mesh::ReadOptions::within`].
     pub fn reading_memory(&self) -> u64 {
-        (working_memory(self.memory) / 4).min(128 << 20)
+        working_memory(self.memory) / 4
     }
 
     /// Most materials that leave room for the build: give it to [`crate::mesh::ReadOptions::most_materials`].
