@@ -21,7 +21,7 @@ mod quotient;
 
 pub use crossing::{Crossing, Decision, Line};
 pub use expansion::Expansion;
-pub use filter::{LANES, Lanes, Shear};
+pub use filter::{Depths, LANES, Lanes, Shear};
 pub use overlap::touches_box;
 pub use plane::{exactly_degenerate, orient2d};
 pub use predicates::side;

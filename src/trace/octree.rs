@@ -19,13 +19,13 @@ use std::cell::RefCell;
 
 use bytemuck::Zeroable;
 
-use super::arch::{Isa, Job, Kernel, Planes};
-use super::collect::{Any, Closest, Collector, Next, Place};
+use super::arch::{Isa, Job, Kernel, Saved};
+use super::collect::{Any, Closest, Collector, Next, Place, Stored};
 use super::setup::{Scene, Setup};
 use super::{Counters, Found, Tracer, batch};
 use crate::error::Result;
-use crate::exact::{Decision, Lanes, Line};
-use crate::format::{Brick, DEPTH_MAX, Frame, Leaf, Node, PageId};
+use crate::exact::{Decision, Depths, Lanes, Line, Shear};
+use crate::format::{Brick, DEPTH_MAX, Frame, Node, PageId};
 use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip};
 use crate::map::{Octree, Page};
 
@@ -107,12 +107,12 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
 /// A question that a walk answers about a ray.
 trait Ask {
     /// What gathers the hits.
-    type Collector: Collector;
+    type Collector<'a>: Collector<'a>;
     type Answer;
     /// The answer where nothing is hit.
     const NOTHING: Self::Answer;
-    fn begin(&self, line: &Line) -> Self::Collector;
-    fn end(collector: Self::Collector, line: &Line) -> Self::Answer;
+    fn begin<'a>(&self, ray: &Ray) -> Self::Collector<'a>;
+    fn end(collector: Self::Collector<'_>, ray: &Ray) -> Self::Answer;
 }
 
 /// The closest hit, after `last` if that is given.
@@ -122,18 +122,18 @@ struct Least<'f> {
 }
 
 impl Ask for Least<'_> {
-    type Collector = Closest;
+    type Collector<'a> = Closest<'a>;
     type Answer = Option<Found>;
     const NOTHING: Option<Found> = None;
 
     #[inline(always)]
-    fn begin(&self, line: &Line) -> Closest {
-        self.last.map_or_else(|| Closest::new(self.skip), |last| Closest::after(self.skip, line, last))
+    fn begin<'a>(&self, ray: &Ray) -> Closest<'a> {
+        self.last.map_or_else(|| Closest::new(self.skip), |last| Closest::after(self.skip, &Line::new(ray), last))
     }
 
     #[inline(always)]
-    fn end(collector: Closest, line: &Line) -> Option<Found> {
-        collector.found(line)
+    fn end(collector: Closest<'_>, ray: &Ray) -> Option<Found> {
+        collector.found(ray)
     }
 }
 
@@ -141,18 +141,18 @@ impl Ask for Least<'_> {
 struct LeastHit;
 
 impl Ask for LeastHit {
-    type Collector = Closest;
+    type Collector<'a> = Closest<'a>;
     type Answer = Hit;
     const NOTHING: Hit = Hit::MISS;
 
     #[inline(always)]
-    fn begin(&self, _: &Line) -> Closest {
+    fn begin<'a>(&self, _: &Ray) -> Closest<'a> {
         Closest::new(Skip::NONE)
     }
 
     #[inline(always)]
-    fn end(collector: Closest, line: &Line) -> Hit {
-        collector.hit(line)
+    fn end(collector: Closest<'_>, ray: &Ray) -> Hit {
+        collector.hit(ray)
     }
 }
 
@@ -160,17 +160,17 @@ impl Ask for LeastHit {
 struct Whether(Skip);
 
 impl Ask for Whether {
-    type Collector = Any;
+    type Collector<'a> = Any<'a>;
     type Answer = bool;
     const NOTHING: bool = false;
 
     #[inline(always)]
-    fn begin(&self, _: &Line) -> Any {
+    fn begin<'a>(&self, _: &Ray) -> Any<'a> {
         Any::new(self.0)
     }
 
     #[inline(always)]
-    fn end(collector: Any, _: &Line) -> bool {
+    fn end(collector: Any<'_>, _: &Ray) -> bool {
         collector.found
     }
 }
@@ -183,12 +183,11 @@ thread_local! {
     static STACK: RefCell<Box<[Level; LEVELS]>> = RefCell::new(Box::new([Level::zeroed(); LEVELS]));
 }
 
-/// A node under way. Written and read in place: a copy would wait for its own stores.
+/// A node put aside, with slots left to visit.
 #[derive(Clone, Copy, Zeroable)]
 #[repr(C, align(32))]
 struct Level {
-    near: [f32; 8],
-    planes: Planes,
+    saved: Saved,
     node: u32,
     /// Its page, [`TOP`] for top nodes.
     page: u32,
@@ -235,10 +234,10 @@ impl<A: Ask> Job for Rays<'_, '_, A> {
     #[inline(always)]
     fn run<K: Kernel>(mut self, kernel: K) -> Result<()> {
         self.walk.counters.rays += self.rays.len() as u64;
-        let mut setup = Setup::blank();
+        let mut sight = Sight { setup: Setup::blank(), shear: Shear::default(), depths: Depths::BLANK };
         let mut start = None;
         for (ray, answer) in self.rays.iter().zip(self.answers) {
-            if !(ray.is_valid() && setup.aim(ray, self.scene)) {
+            if !(ray.is_valid() && sight.setup.aim(ray, self.scene)) {
                 *answer = A::NOTHING;
                 continue;
             }
@@ -246,12 +245,19 @@ impl<A: Ask> Job for Rays<'_, '_, A> {
                 Some(start) => start,
                 None => start.insert(self.walk.start()?),
             };
-            let mut collector = self.ask.begin(&setup.line);
-            self.walk.run(kernel, start, &setup, &mut collector)?;
-            *answer = A::end(collector, &setup.line);
+            let mut collector = self.ask.begin(ray);
+            self.walk.run(kernel, start, ray, self.scene, &mut sight, &mut collector)?;
+            *answer = A::end(collector, ray);
         }
         Ok(())
     }
+}
+
+/// A ray prepared for nodes, and once it meets a leaf, for triangles. Made once for all rays of a batch.
+struct Sight {
+    setup: Setup,
+    shear: Shear,
+    depths: Depths,
 }
 
 /// Where every ray of a file begins.
@@ -275,27 +281,31 @@ impl<'a> Walk<'a, '_> {
         &mut self,
         kernel: K,
         start: &Start<'a>,
-        setup: &Setup,
-        collector: &mut impl Collector,
+        ray: &Ray,
+        scene: &Scene,
+        sight: &mut Sight,
+        collector: &mut impl Collector<'a>,
     ) -> Result<()> {
         let mut view = start.view;
-        let mask = usize::from(setup.way.mask & 7);
+        let mask = usize::from(sight.setup.way.mask & 7);
         // The parameter beyond which nothing matters.
-        let mut far = setup.far;
-        self.counters.bricks += u64::from(view.page.is_some());
-        // The node under way: its frame and the entries of its slots are `stack[top]`, the slots left to visit `left`.
+        let mut far = sight.setup.far;
+        let (mut nodes, mut bricks) = (1, u64::from(view.page.is_some()));
+        // The node under way, the frame and the entries of its slots, and those left to visit.
         let (mut top, mut index) = (0, 0);
         let mut node = view.node(index);
-        self.stack[top].planes = setup.planes(&start.frame);
-        let mut left = self.touch(kernel, top, node, setup, far);
-        loop {
+        let mut frame = kernel.frame(&sight.setup.planes(&start.frame));
+        let (mut left, mut near) = kernel.touch(node, frame, &sight.setup.way, far);
+        let mut sheared = false;
+        'walk: loop {
             while left == 0 {
                 if top == 0 {
-                    return Ok(());
+                    break 'walk;
                 }
                 top -= 1;
                 let level = &self.stack[top];
-                left = level.left & kernel.within(&level.near, far);
+                (frame, near) = kernel.load(&level.saved);
+                left = level.left & kernel.within(near, far);
                 index = level.node;
                 if left != 0 && level.page != view.number {
                     view = self.view(level.page)?;
@@ -306,42 +316,63 @@ impl<'a> Walk<'a, '_> {
             left &= left - 1;
             let byte = node.slots[slot];
             if byte < EMPTY {
-                match self.leaf(kernel, &view, index, node, byte, setup, &mut far, collector) {
+                let Some(stored) = self.stored(&view, index, node, byte) else { continue };
+                if !sheared {
+                    sheared = true;
+                    sight.shear = Shear::new(ray, scene.bounds);
+                }
+                match self.leaf(kernel, &stored, ray, sight, &mut far, collector) {
                     Next::On => {}
-                    Next::Nearer => left &= kernel.within(&self.stack[top].near, far),
-                    Next::Done => return Ok(()),
+                    Next::Nearer => left &= kernel.within(near, far),
+                    Next::Done => break 'walk,
                 }
                 continue;
             }
-            // The child's level is the next one, or this one where it is not needed again.
-            let below = (top + usize::from(left != 0)).min(LEVELS - 1);
             if byte & 0xc0 == INNER && node.first_child != 0 {
-                let planes = kernel.child(&self.stack[top].planes, node, slot, &setup.way);
-                self.keep(top, index, view.number, left);
+                if left != 0 {
+                    top = self.keep(kernel, top, frame, near, index, view.number, left);
+                }
+                frame = kernel.child(frame, node, slot, &sight.setup.way);
                 index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
-                self.stack[below].planes = planes;
             } else if byte & 0xc0 == BRICK && view.page.is_none() {
                 let number = node.first_leaf.wrapping_add(u32::from(byte & 7));
                 let Some(brick) = self.octree.bricks().get(number as usize) else { continue };
-                self.keep(top, index, view.number, left);
-                self.counters.bricks += 1;
+                if left != 0 {
+                    top = self.keep(kernel, top, frame, near, index, view.number, left);
+                }
+                bricks += 1;
                 view = self.view(number)?;
                 index = 0;
-                self.stack[below].planes = setup.planes(&brick_frame(brick));
+                frame = kernel.frame(&sight.setup.planes(&brick_frame(brick)));
             } else {
                 continue;
             }
-            top = below;
             node = view.node(index);
-            left = self.touch(kernel, top, node, setup, far);
+            nodes += 1;
+            (left, near) = kernel.touch(node, frame, &sight.setup.way, far);
         }
+        self.counters.nodes += nodes;
+        self.counters.bricks += bricks;
+        Ok(())
     }
 
-    /// Notes what is left of a level, to come back to it.
+    /// Puts a node aside that has slots left, to come back to it; the number of levels then.
     #[inline(always)]
-    fn keep(&mut self, top: usize, node: u32, page: u32, left: u32) {
+    #[expect(clippy::too_many_arguments, reason = "the state of the walk, kept in registers")]
+    fn keep<K: Kernel>(
+        &mut self,
+        kernel: K,
+        top: usize,
+        frame: K::Frame,
+        near: K::Near,
+        node: u32,
+        page: u32,
+        left: u32,
+    ) -> usize {
         let level = &mut self.stack[top];
+        kernel.save(&mut level.saved, frame, near);
         (level.node, level.page, level.left) = (node, page, left);
+        (top + 1).min(LEVELS - 1)
     }
 
     /// The nodes of a page or of the top.
@@ -354,76 +385,70 @@ impl<'a> Walk<'a, '_> {
         Ok(View { nodes: page.nodes(), number, page: Some(page) })
     }
 
-    /// Tests the slots of the node whose frame stands in level `top`, where their entries go; the slots touched.
+    /// The leaf that slot byte `units` of node `index` names.
     #[inline(always)]
-    fn touch<K: Kernel>(&mut self, kernel: K, top: usize, node: &Node, setup: &Setup, far: f32) -> u32 {
-        self.counters.nodes += 1;
-        let level = &mut self.stack[top];
-        let touched = kernel.touch(node, &level.planes, &setup.way, far);
-        level.near = touched.near;
-        touched.slots
-    }
-
-    /// Tests the triangles of the leaf that slot byte `units` of a node names, and offers the hits.
-    #[inline(always)]
-    #[expect(clippy::too_many_arguments, reason = "the state of the walk, kept in registers")]
-    fn leaf<K: Kernel>(
-        &mut self,
-        kernel: K,
-        view: &View<'a>,
-        index: u32,
-        node: &Node,
-        units: u8,
-        setup: &Setup,
-        far: &mut f32,
-        collector: &mut impl Collector,
-    ) -> Next {
-        let Some(page) = &view.page else { return Next::On };
+    fn stored(&mut self, view: &View<'a>, index: u32, node: &Node, units: u8) -> Option<Stored<'a>> {
+        let page = view.page?;
         if node.first_leaf == 0 {
-            return Next::On;
+            return None;
         }
         let leaf = page.leaf(64 + 64 * index as usize + 16 * node.first_leaf as usize + self.unit * usize::from(units));
         self.counters.leaves += 1;
         self.counters.triangles += leaf.len() as u64;
-        let lanes = kernel.classify(&leaf, &setup.shear);
+        Some(Stored { page, id: PageId(view.number), leaf })
+    }
+
+    /// Tests the triangles of a leaf, and gives the hits to the collector.
+    #[inline(always)]
+    fn leaf<K: Kernel>(
+        &mut self,
+        kernel: K,
+        stored: &Stored<'a>,
+        ray: &Ray,
+        sight: &mut Sight,
+        far: &mut f32,
+        collector: &mut impl Collector<'a>,
+    ) -> Next {
+        let reach = collector.reach();
+        let range = [ray.tmin, if reach < ray.tmax { reach } else { ray.tmax }];
+        let lanes = kernel.classify(&stored.leaf, &sight.shear, range, &mut sight.depths);
         if lanes.accept | lanes.doubt == 0 {
             return Next::On;
         }
-        self.settle(page, PageId(view.number), &leaf, lanes, setup, far, collector)
+        let next = match collector.glance(ray, lanes, &sight.depths, stored) {
+            Some(next) => next,
+            None => self.settle(stored, lanes, ray, collector),
+        };
+        if next == Next::Nearer {
+            *far = far.min(sight.setup.reach(collector.reach()));
+        }
+        next
     }
 
-    /// Decides what the filter left, exactly, and offers the hits.
-    #[inline(always)]
-    #[expect(clippy::too_many_arguments, reason = "the state of the walk, kept in registers")]
+    /// Decides exactly what bounds did not, and offers the hits.
+    #[inline(never)]
     fn settle(
         &mut self,
-        page: &Page<'a>,
-        id: PageId,
-        leaf: &Leaf<'a>,
+        stored: &Stored<'a>,
         lanes: Lanes,
-        setup: &Setup,
-        far: &mut f32,
-        collector: &mut impl Collector,
+        ray: &Ray,
+        collector: &mut impl Collector<'a>,
     ) -> Next {
         self.counters.doubts += u64::from(lanes.doubt.count_ones());
+        let line = Line::new(ray);
         let mut left = lanes.accept | lanes.doubt;
         let mut next = Next::On;
         while left != 0 {
             let j = left.trailing_zeros();
             left &= left - 1;
-            let triangle = leaf.triangle(j as usize);
-            let line = &setup.line;
+            let triangle = stored.leaf.triangle(j as usize);
             let doubted = lanes.doubt >> j & 1 != 0;
             let Decision { crossing, exact } = if doubted { line.meet(&triangle) } else { line.accepted(&triangle) };
             self.counters.exact += u64::from(exact);
             let Some(crossing) = crossing else { continue };
-            let place = Reference { page, id, reference: leaf.first().wrapping_add(j) };
-            match collector.offer(line, crossing, &place) {
+            match collector.offer(&line, crossing, &Reference { stored, lane: j }) {
                 Next::On => {}
-                Next::Nearer => {
-                    *far = far.min(setup.reach(collector.reach()));
-                    next = Next::Nearer;
-                }
+                Next::Nearer => next = Next::Nearer,
                 Next::Done => return Next::Done,
             }
         }
@@ -445,21 +470,20 @@ fn brick_frame(brick: &Brick) -> Frame {
     Frame { corner: brick.corner.map(f64::from), unit: brick.unit.map(f64::from) }
 }
 
-/// A reference within a page.
+/// A triangle of a leaf.
 struct Reference<'p, 'a> {
-    page: &'p Page<'a>,
-    id: PageId,
-    reference: u32,
+    stored: &'p Stored<'a>,
+    lane: u32,
 }
 
 impl Place for Reference<'_, '_> {
     fn face(&self) -> FaceId {
-        self.page.face(self.reference)
+        self.stored.page.face(self.reference())
     }
     fn page(&self) -> PageId {
-        self.id
+        self.stored.id
     }
     fn reference(&self) -> u32 {
-        self.reference
+        self.stored.leaf.first().wrapping_add(self.lane)
     }
 }

@@ -1,23 +1,27 @@
 //! A ray prepared for the walk, and why the walk never loses a cell.
 //!
-//! **Parameters.** In root units the ray is p + tau g with p = (o - corner) / side and g = d 2^s, the power of two chosen such that the
+//! **Far or steep rays.** In root units the ray is p + tau g with p = (o - corner) / side and g = d 2^s, the power of two chosen such that the
 //! largest |g_i| is in [1, 2). Then t = tau 2^s side, an exact scaling. The walk starts from p' = p + tau0 g, tau0 being the parameter
 //! of the interval's point nearest to the origin within the root: so |p'| is about 1 however far the origin, and all parameters of the node
 //! loop, which are relative to tau0, are about 1 too, where f32 is fine.
+//!
+//! **Plain rays**, whose origin is within [`NEAR`] root sizes and whose components are all of moderate size (most rays by far), need none of
+//! this: p' = p, tau0 = 0, and the parameters are those of the ray itself, t.
 //!
 //! **Errors of f64**, P = max |p_i|: p, tau0 g and p' are each off by a few 2^-53 (P + 2) in position; `pad` = 2^-46 (P + 2) is more than
 //! eight times all of them together. It widens the root's slabs here, every slab below (through `slack`), and the best hit's parameter.
 //!
 //! **Errors of f32** in the node loop, eps = 2^-24, A = |p'_i|, all in units of |inv_i| = 1 / |g_i|. A plane q of a node has the parameter
-//! t0 + q dt. The walk carries t0 less the slack and t0 plus the slack (`begin`, `end`); a child's is fl(t0 + fl(low dt)), or fused with one rounding
+//! t0 + q dt. The walk carries t0 less the slack (`begin`); a child's is fl(t0 + fl(low dt)), or fused with one rounding
 //! less, its dt the parent's times an exact power of two. The corners of frames lie in 0..1, and low * unit summed over a path is
 //! at most 1. So a plane's computed parameter is off by at most
-//! - eps (A + 1): t0 of the root or brick, rounded once from f64; twice that for the slack taken off or added there;
+//! - 2 eps (A + 1): t0 of the root or brick, from inv and the product's rounding to f32; twice that for taking off the slack, and for
+//!   adding it, doubled, again where planes are left;
 //! - eps: the rounding of inv itself, on a path's sum of q * dt;
 //! - eps: the products' roundings, which add up to those on one path;
 //! - eps (A + 1) for each of L levels, and once more at the last plane: the sums' roundings.
 //!
-//! Together less than eps (L + 4) (A + 3), L being the file's depth. `slack` = |inv| (pad + eps (L + 4) (A + 3)), rounded up, is subtracted from
+//! Together less than eps (L + 8) (A + 3), L being the file's depth. `slack` = |inv| (pad + eps (L + 8) (A + 3)), rounded up, is subtracted from
 //! every near and added to every far parameter. A slab that the exact ray touches is therefore never lost, and near
 //! parameters are true lower bounds. (Ize 2013 pads relative to t; one number an axis is simpler and about as tight here.)
 //!
@@ -31,7 +35,7 @@
 //! Only a ray whose steps do not get there visits all boxes (`inv` = 0, infinite slack in effect), and the exact triangle test decides.
 
 use super::arch::{Planes, Way};
-use crate::exact::{Expansion, Line, Shear};
+use crate::exact::Expansion;
 use crate::format::Frame;
 use crate::geometry::{Aabb, Ray, RootCube};
 
@@ -43,24 +47,24 @@ pub(super) struct Scene {
     root: RootCube,
     /// 1 / the root's side, a power of two.
     scale: f64,
-    /// eps (L + 4).
+    /// The root's side, if it is moderate; else 0.
+    side: f32,
+    /// eps (L + 8).
     rounding: f64,
 }
 
 impl Scene {
     /// `depth` is the file's.
     pub fn new(root: RootCube, bounds: Aabb, depth: u32) -> Scene {
-        Scene { bounds, root, scale: exp2(-root.log2_side), rounding: (f64::from(depth) + 4.0) / 16_777_216.0 }
+        let side = if root.log2_side.abs() <= 40 { exp2(root.log2_side) as f32 } else { 0.0 };
+        let rounding = (f64::from(depth) + 8.0) / 16_777_216.0;
+        Scene { bounds, root, scale: exp2(-root.log2_side), side, rounding }
     }
 }
 
 /// A ray ready to walk an octree. Made once and aimed at each ray of a batch, as it is too large to hand around.
 #[derive(Clone, Debug)]
 pub(super) struct Setup {
-    /// For the exact test.
-    pub line: Line,
-    /// For its f32 filter.
-    pub shear: Shear,
     /// For the node test.
     pub way: Way,
     /// p'.
@@ -70,6 +74,8 @@ pub(super) struct Setup {
     inv32: [f32; 3],
     /// In parameter units, see above.
     slack: [f32; 3],
+    /// Whether parameters are the ray's own.
+    plain: bool,
     /// The parameter (relative to tau0) at which the ray leaves the root or its interval, rounded up.
     pub far: f32,
     /// tau = t * scale.
@@ -115,6 +121,10 @@ fn lesser(a: f64, b: f64) -> f64 {
 
 const LEAST_COMPONENT: f64 = 1.0 / (1u128 << 100) as f64;
 const PAD: f64 = 1.0 / (1u64 << 46) as f64;
+/// Up to this distance, in root sizes, a ray may be plain.
+const NEAR: f64 = 16.0;
+/// The magnitudes that the components of a plain ray's direction may have.
+const MODERATE: std::ops::RangeInclusive<f32> = 1.0 / (1u64 << 60) as f32..=(1u64 << 60) as f32;
 /// From this distance on, in root sizes, the start is brought nearer.
 const FAR: f64 = (1u64 << 30) as f64;
 /// From this pad on the walk visits all boxes.
@@ -195,13 +205,12 @@ impl Setup {
     /// One that is yet to be aimed.
     pub fn blank() -> Setup {
         Setup {
-            line: Line::new(&Ray::new([0.0; 3], [0.0; 3])),
-            shear: Shear::default(),
             way: Way::default(),
             origin: [0.0; 3],
             inv: [0.0; 3],
             inv32: [0.0; 3],
             slack: [0.0; 3],
+            plain: false,
             far: 0.0,
             scale: 0.0,
             tau0: 0.0,
@@ -209,14 +218,9 @@ impl Setup {
         }
     }
 
-    /// Prepares a valid ray; false if it misses the root cube, and then nothing here is to be used.
+    /// Prepares a valid ray; false if it is found to miss the root cube, and then nothing here is to be used.
     #[inline(always)]
     pub fn aim(&mut self, ray: &Ray, scene: &Scene) -> bool {
-        let [dx, dy, dz] = [f64::from(ray.direction[0]), f64::from(ray.direction[1]), f64::from(ray.direction[2])];
-        let exponent = log2_floor(greater(greater(dx.abs(), dy.abs()), dz.abs()));
-        let shrink = exp2(-exponent);
-        let g = [dx * shrink, dy * shrink, dz * shrink];
-        let scale = exp2(exponent) * scene.scale;
         let corner = scene.root.corner;
         // Scaling by powers of two is exact.
         let p = [
@@ -224,6 +228,51 @@ impl Setup {
             (f64::from(ray.origin[1]) - corner.y) * scene.scale,
             (f64::from(ray.origin[2]) - corner.z) * scene.scale,
         ];
+        let moderate = |x: f32| MODERATE.contains(&x.abs());
+        let [x, y, z] = ray.direction;
+        let near = (p[0].abs() <= NEAR) & (p[1].abs() <= NEAR) & (p[2].abs() <= NEAR);
+        if moderate(x) & moderate(y) & moderate(z) & near & (scene.side != 0.0) {
+            self.aim_plain(ray, scene, p);
+            return true;
+        }
+        self.aim_any(ray, scene, p)
+    }
+
+    /// Prepares a plain ray.
+    #[inline(always)]
+    fn aim_plain(&mut self, ray: &Ray, scene: &Scene, p: [f64; 3]) {
+        let rounding = scene.rounding as f32;
+        let way = &mut self.way;
+        let mut mask = 0;
+        for i in 0..3 {
+            let d = ray.direction[i];
+            let inv = scene.side / d;
+            // pad is below 2^-41, so far below eps (L + 8) that the next constant covers it, and the roundings here.
+            let slack = inv.abs() * (rounding * (p[i].abs() as f32 + 3.01));
+            mask = mask << 1 | u8::from(d < 0.0);
+            self.origin[i] = p[i];
+            self.inv[i] = f64::from(inv);
+            self.inv32[i] = inv;
+            self.slack[i] = slack;
+            way.slack[i] = 2.0 * slack;
+            way.least[i] = inv * Frame::LEAST_UNIT as f32;
+        }
+        way.mask = mask;
+        // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
+        way.near = ray.tmin.next_down();
+        self.far = ray.tmax.next_up();
+        self.plain = true;
+    }
+
+    /// Prepares any ray.
+    #[inline(never)]
+    fn aim_any(&mut self, ray: &Ray, scene: &Scene, p: [f64; 3]) -> bool {
+        self.plain = false;
+        let [dx, dy, dz] = [f64::from(ray.direction[0]), f64::from(ray.direction[1]), f64::from(ray.direction[2])];
+        let exponent = log2_floor(greater(greater(dx.abs(), dy.abs()), dz.abs()));
+        let shrink = exp2(-exponent);
+        let g = [dx * shrink, dy * shrink, dz * shrink];
+        let scale = exp2(exponent) * scene.scale;
         let mut inv = [0.0; 3];
         for i in 0..3 {
             let component = if g[i].abs() < LEAST_COMPONENT { LEAST_COMPONENT.copysign(g[i]) } else { g[i] };
@@ -263,21 +312,19 @@ impl Setup {
             self.slack[i] = if blind { f32::MAX / 4.0 } else { slack };
             self.inv[i] = inv;
             self.inv32[i] = inv as f32;
-            self.way.least[i] = inv as f32 * Frame::LEAST_UNIT as f32;
+            way.slack[i] = 2.0 * self.slack[i];
+            way.least[i] = inv as f32 * Frame::LEAST_UNIT as f32;
         }
-        self.line = Line::new(ray);
-        self.shear = Shear::new(ray, scene.bounds);
         true
     }
 
-    /// The parameters of a brick's or the root's frame: its corner's rounded once, then the slack taken off and added.
+    /// The parameters of a brick's or the root's frame: its corner's rounded once, then the slack taken off.
     #[inline(always)]
     pub fn planes(&self, frame: &Frame) -> Planes {
-        let mut planes = Planes { begin: [0.0; 4], end: [0.0; 4], dt: [0.0; 4] };
+        let mut planes = Planes { begin: [0.0; 4], dt: [0.0; 4] };
         for i in 0..3 {
             let corner = ((frame.corner[i] - self.origin[i]) * self.inv[i]) as f32;
             planes.begin[i] = corner - self.slack[i];
-            planes.end[i] = corner + self.slack[i];
             planes.dt[i] = frame.unit[i] as f32 * self.inv32[i];
         }
         planes
@@ -285,7 +332,10 @@ impl Setup {
 
     /// The parameter that no nearer node may pass, for a hit at most at `t`, rounded up.
     #[inline(always)]
-    pub fn reach(&self, t: f64) -> f32 {
-        ((t * self.scale - self.tau0 + self.pad) as f32).next_up()
+    pub fn reach(&self, t: f32) -> f32 {
+        if self.plain {
+            return t;
+        }
+        ((f64::from(t) * self.scale - self.tau0 + self.pad) as f32).next_up()
     }
 }

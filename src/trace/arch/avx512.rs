@@ -2,11 +2,11 @@
 
 use std::arch::x86_64::*;
 
-use super::{Job, Kernel, Planes, Touched, Way, avx2, scalar};
-use crate::exact::{Lanes, Shear};
+use super::{Job, Kernel, Planes, Saved, Way, avx2, scalar};
+use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
 
-/// Proof that the processor has AVX-512 (F, BW, DQ, VL) and what [`avx2::Avx2`] stands for.
+/// Proof that the processor has AVX-512 (F, BW, DQ, VL, VBMI: Ice Lake, Zen 4 and later) and what [`avx2::Avx2`] stands for.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Avx512(());
 
@@ -17,7 +17,8 @@ impl Avx512 {
             && is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512bw")
             && is_x86_feature_detected!("avx512dq")
-            && is_x86_feature_detected!("avx512vl");
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512vbmi");
         has.then_some(Avx512(()))
     }
 }
@@ -26,53 +27,82 @@ impl Avx512 {
 ///
 /// # Safety
 /// [`Avx512::detect`] must have found the instruction set.
-#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
 pub(super) unsafe fn run<J: Job>(job: J) -> J::Output {
     job.run(Avx512(()))
 }
 
 impl Kernel for Avx512 {
+    type Frame = avx2::Frame;
+    type Near = __m256;
+
     #[inline(always)]
-    fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched {
+    fn frame(self, planes: &Planes) -> avx2::Frame {
         // SAFETY: `self` is proof.
-        unsafe { avx2::touch(node, planes, way, far) }
+        unsafe { avx2::frame(planes) }
     }
 
     #[inline(always)]
-    fn within(self, near: &[f32; 8], far: f32) -> u32 {
+    fn save(self, saved: &mut Saved, frame: avx2::Frame, near: __m256) {
+        // SAFETY: `self` is proof.
+        unsafe { avx2::save(saved, frame, near) }
+    }
+
+    #[inline(always)]
+    fn load(self, saved: &Saved) -> (avx2::Frame, __m256) {
+        // SAFETY: `self` is proof.
+        unsafe { avx2::load(saved) }
+    }
+
+    #[inline(always)]
+    fn touch(self, node: &Node, frame: avx2::Frame, way: &Way, far: f32) -> (u32, __m256) {
+        // SAFETY: `self` is proof.
+        unsafe { avx2::touch(node, frame, way, far) }
+    }
+
+    #[inline(always)]
+    fn within(self, near: __m256, far: f32) -> u32 {
         // SAFETY: `self` is proof.
         unsafe { avx2::within(near, far) }
     }
 
     #[inline(always)]
-    fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes {
-        // SAFETY: `self` is proof.
-        unsafe { avx2::child(planes, node, slot, way) }
+    fn child(self, frame: avx2::Frame, node: &Node, slot: usize, way: &Way) -> avx2::Frame {
+        // SAFETY: `self` is proof. A node is 64 bytes, aligned to 4 at least.
+        unsafe {
+            let bytes = _mm512_loadu_si512(std::ptr::from_ref(node).cast());
+            // Bytes slot, 8 + slot, 16 + slot of the low planes, each in a lane of its own; the high ones are 24 further on.
+            let at = _mm_add_epi8(_mm_set1_epi8(slot as i8 & 7), _mm_setr_epi32(0, 8, 16, 0));
+            let further = _mm_add_epi8(at, _mm_set1_epi8(24));
+            let low = _mm512_maskz_permutexvar_epi8(0x111, _mm512_castsi128_si512(at), bytes);
+            let high = _mm512_maskz_permutexvar_epi8(0x111, _mm512_castsi128_si512(further), bytes);
+            avx2::child(frame, _mm512_castsi512_si128(low), _mm512_castsi512_si128(high), way)
+        }
     }
 
     #[inline(always)]
-    fn classify(self, leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+    fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
         let registers = leaf.vertices().div_ceil(16);
         let reach = leaf.coding().coordinates_at() + 4 * (2 * leaf.vertices() + 16 * registers);
         if leaf.is_empty() || leaf.bytes().len() < reach {
-            return scalar::classify(leaf, shear);
+            return scalar::classify(leaf, shear, range, depths);
         }
         // SAFETY: `self` is proof; all loads end before `reach`, which lies within the leaf's bytes.
         unsafe {
             match leaf.coding() {
-                Coding::Nibbles => nibbles(leaf, shear),
-                Coding::Bytes => bytes(leaf, shear),
+                Coding::Nibbles => nibbles(leaf, shear, range, depths),
+                Coding::Bytes => bytes(leaf, shear, range, depths),
             }
         }
     }
 }
 
-/// Sixteen sheared vertices from number `first` on.
+/// Sixteen sheared vertices from number `first` on, and their depths.
 ///
 /// # Safety
 /// AVX-512 must be there, and 64 bytes behind vertex `first` of each axis.
 #[inline(always)]
-unsafe fn sheared(leaf: &Leaf<'_>, shear: &Shear, first: usize) -> [__m512; 2] {
+unsafe fn sheared(leaf: &Leaf<'_>, shear: &Shear, first: usize) -> [__m512; 3] {
     // SAFETY: as the caller vouches.
     unsafe {
         let begin = leaf.bytes().as_ptr().add(leaf.coding().coordinates_at() + 4 * first);
@@ -86,7 +116,7 @@ unsafe fn sheared(leaf: &Leaf<'_>, shear: &Shear, first: usize) -> [__m512; 2] {
         // Rounded after each step, never fused: the bound of `exact/filter.rs` counts on it.
         let wide = _mm512_sub_ps(_mm512_sub_ps(x, _mm512_set1_ps(ox)), _mm512_mul_ps(_mm512_set1_ps(sx), depth));
         let high = _mm512_sub_ps(_mm512_sub_ps(y, _mm512_set1_ps(oy)), _mm512_mul_ps(_mm512_set1_ps(sy), depth));
-        [wide, high]
+        [wide, high, depth]
     }
 }
 
@@ -110,19 +140,14 @@ unsafe fn corner_index(head: __m512i, k: i32) -> __m512i {
 /// # Safety
 /// AVX-512 must be there, and all of the leaf's loads within its bytes.
 #[inline(always)]
-unsafe fn nibbles(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+unsafe fn nibbles(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
     // SAFETY: as the caller vouches.
     unsafe {
-        let [x, y] = sheared(leaf, shear, 0);
+        let table = sheared(leaf, shear, 0);
         let head = _mm512_broadcast_i64x4(_mm256_loadu_si256(leaf.bytes().as_ptr().cast()));
         // The permutation looks at the low four bits of each lane only.
-        let (a, b, c) = (corner_index(head, 0), corner_index(head, 1), corner_index(head, 2));
-        let corners = [
-            [_mm512_permutexvar_ps(a, x), _mm512_permutexvar_ps(a, y)],
-            [_mm512_permutexvar_ps(b, x), _mm512_permutexvar_ps(b, y)],
-            [_mm512_permutexvar_ps(c, x), _mm512_permutexvar_ps(c, y)],
-        ];
-        classify(corners, shear, leaf.len())
+        let index = [corner_index(head, 0), corner_index(head, 1), corner_index(head, 2)];
+        classify::<false>(index, [table, table], shear, leaf.len(), range, depths)
     }
 }
 
@@ -131,21 +156,18 @@ unsafe fn nibbles(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
 /// # Safety
 /// AVX-512 must be there, and all of the leaf's loads within its bytes.
 #[inline(always)]
-unsafe fn bytes(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+unsafe fn bytes(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
     // SAFETY: as the caller vouches; the corner bytes lie at 16..64 of the record.
     unsafe {
-        let [x0, y0] = sheared(leaf, shear, 0);
-        let [x1, y1] = if leaf.vertices() > 16 { sheared(leaf, shear, 16) } else { [x0, y0] };
+        let first = sheared(leaf, shear, 0);
+        let second = if leaf.vertices() > 16 { sheared(leaf, shear, 16) } else { first };
         let numbers = leaf.bytes().as_ptr();
-        let a = _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(16).cast()));
-        let b = _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(32).cast()));
-        let c = _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(48).cast()));
-        let corners = [
-            [_mm512_permutex2var_ps(x0, a, x1), _mm512_permutex2var_ps(y0, a, y1)],
-            [_mm512_permutex2var_ps(x0, b, x1), _mm512_permutex2var_ps(y0, b, y1)],
-            [_mm512_permutex2var_ps(x0, c, x1), _mm512_permutex2var_ps(y0, c, y1)],
+        let index = [
+            _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(16).cast())),
+            _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(32).cast())),
+            _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(48).cast())),
         ];
-        classify(corners, shear, leaf.len())
+        classify::<true>(index, [first, second], shear, leaf.len(), range, depths)
     }
 }
 
@@ -169,14 +191,34 @@ unsafe fn magnitude([x, y]: [__m512; 2]) -> __m512 {
     unsafe { _mm512_max_ps(_mm512_abs_ps(x), _mm512_abs_ps(y)) }
 }
 
+/// Entries of a table of sixteen, or of 32 if `WIDE`.
+///
+/// # Safety
+/// AVX-512 must be there.
+#[inline(always)]
+unsafe fn pick<const WIDE: bool>(first: __m512, second: __m512, at: __m512i) -> __m512 {
+    // SAFETY: as the caller vouches.
+    unsafe { if WIDE { _mm512_permutex2var_ps(first, at, second) } else { _mm512_permutexvar_ps(at, first) } }
+}
+
 /// The filter over sixteen triangles; the same operations in the same order as [`Shear::classify`].
 ///
 /// # Safety
 /// AVX-512 must be there.
 #[inline(always)]
-unsafe fn classify([a, b, c]: [[__m512; 2]; 3], shear: &Shear, count: usize) -> Lanes {
-    // SAFETY: as the caller vouches.
+unsafe fn classify<const WIDE: bool>(
+    [ia, ib, ic]: [__m512i; 3],
+    [[x, y, z], [x1, y1, z1]]: [[__m512; 3]; 2],
+    shear: &Shear,
+    count: usize,
+    range: [f32; 2],
+    depths: &mut Depths,
+) -> Lanes {
+    // SAFETY: as the caller vouches; the stores are of sixteen floats.
     unsafe {
+        let a = [pick::<WIDE>(x, x1, ia), pick::<WIDE>(y, y1, ia)];
+        let b = [pick::<WIDE>(x, x1, ib), pick::<WIDE>(y, y1, ib)];
+        let c = [pick::<WIDE>(x, x1, ic), pick::<WIDE>(y, y1, ic)];
         let (u, v, w) = (edge(b, c), edge(c, a), edge(a, b));
         let m = _mm512_max_ps(_mm512_max_ps(magnitude(a), magnitude(b)), magnitude(c));
         let [linear, constant] = shear.bound();
@@ -185,9 +227,30 @@ unsafe fn classify([a, b, c]: [[__m512; 2]; 3], shear: &Shear, count: usize) -> 
         let least = _mm512_min_ps(_mm512_min_ps(u, v), w);
         let most = _mm512_max_ps(_mm512_max_ps(u, v), w);
         let q = _mm512_min_ps(_mm512_xor_ps(least, sign), most);
-        let miss = u32::from(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(q, bound));
-        let hit = u32::from(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(q, _mm512_xor_ps(bound, sign)));
         let bits = u32::MAX >> (32 - count.clamp(1, 16));
-        Lanes { accept: hit & bits, doubt: !(miss | hit) & bits }
+        let miss = u32::from(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(q, bound));
+        let hit = u32::from(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(q, _mm512_xor_ps(bound, sign))) & bits;
+        let doubt = !(miss | hit) & bits;
+        if hit == 0 {
+            return Lanes { accept: 0, doubt };
+        }
+        let (za, zb, zc) = (pick::<WIDE>(z, z1, ia), pick::<WIDE>(z, z1, ib), pick::<WIDE>(z, z1, ic));
+        let sum = _mm512_add_ps(_mm512_add_ps(u, v), w);
+        let weighted = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(u, za), _mm512_mul_ps(v, zb)), _mm512_mul_ps(w, zc));
+        let t = _mm512_mul_ps(_mm512_div_ps(weighted, sum), _mm512_set1_ps(shear.inverse()));
+        let most = _mm512_max_ps(_mm512_max_ps(za, zb), zc);
+        let least = _mm512_min_ps(_mm512_min_ps(za, zb), zc);
+        let [of_shape, of_depth, constant] = shear.depth_bound();
+        let shape = _mm512_div_ps(_mm512_mul_ps(bound, _mm512_sub_ps(most, least)), _mm512_abs_ps(sum));
+        let shape = _mm512_mul_ps(shape, _mm512_set1_ps(of_shape));
+        let deepest = _mm512_max_ps(_mm512_abs_ps(most), _mm512_abs_ps(least));
+        let depth = _mm512_mul_ps(deepest, _mm512_set1_ps(of_depth));
+        let h = _mm512_add_ps(_mm512_add_ps(shape, depth), _mm512_set1_ps(constant));
+        let (lo, hi) = (_mm512_sub_ps(t, h), _mm512_add_ps(t, h));
+        _mm512_storeu_ps(depths.lo.as_mut_ptr(), lo);
+        _mm512_storeu_ps(depths.hi.as_mut_ptr(), hi);
+        let later = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(lo, _mm512_set1_ps(range[1]));
+        let earlier = _mm512_cmp_ps_mask::<_CMP_LT_OQ>(hi, _mm512_set1_ps(range[0]));
+        Lanes { accept: hit & !u32::from(later | earlier), doubt }
     }
 }

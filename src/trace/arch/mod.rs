@@ -17,16 +17,15 @@ mod scalar;
 
 use std::sync::OnceLock;
 
-use crate::exact::{Lanes, Shear};
+use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Leaf, Node};
 
-/// The parameters of a node's frame, axes x, y, z and one unused lane: with the slack of the setup taken off and added, plane
-/// q is entered at `begin + q * dt` at the earliest and left at `end + q * dt` at the latest.
+/// The parameters of a node's frame, axes x, y, z and one unused lane: with the slack of the setup taken off, plane q is
+/// entered at `begin + q * dt` at the earliest; it is left at that plus [`Way::slack`] at the latest.
 #[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 #[repr(C, align(16))]
 pub(super) struct Planes {
     pub begin: [f32; 4],
-    pub end: [f32; 4],
     pub dt: [f32; 4],
 }
 
@@ -36,32 +35,44 @@ pub(super) struct Planes {
 pub(super) struct Way {
     /// 2^-32 in parameter units: dt of the smallest frame.
     pub least: [f32; 4],
+    /// Twice the setup's slack.
+    pub slack: [f32; 4],
     /// The direction mask a: bit 2 - i set where axis i is traversed downwards.
     pub mask: u8,
     /// The parameter at which the ray enters the root.
     pub near: f32,
 }
 
-/// The slots of a node that the ray touches, in the order of visits: entry i stands for slot i XOR a.
-#[derive(Clone, Copy, Debug)]
+/// A node under way, put aside. Entry i of `near` is a lower bound of the parameter at which slot i XOR a is entered.
+#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 #[repr(C, align(32))]
-pub(super) struct Touched {
-    /// Lower bound of the parameter at which each slot is entered.
+pub(super) struct Saved {
     pub near: [f32; 8],
-    /// A bit an entry; no others.
-    pub slots: u32,
+    pub planes: Planes,
 }
 
 /// The inner loops for one instruction set. A value of the type is proof that the processor has it.
 pub(super) trait Kernel: Copy {
-    /// Which slots the ray touches between `way.near` and `far`. Empty slots are left to the caller.
-    fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched;
-    /// A bit for each of the entries `near` that is not beyond `far`.
-    fn within(self, near: &[f32; 8], far: f32) -> u32;
-    /// The parameters of the frame of the inner child in `slot` (0..8); FORMAT.md, "Frame".
-    fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes;
-    /// The filter's word on each triangle of a leaf.
-    fn classify(self, leaf: &Leaf<'_>, shear: &Shear) -> Lanes;
+    /// [`Planes`] in registers.
+    type Frame: Copy;
+    /// Eight lower bounds, in the order of visits: entry i stands for slot i XOR a.
+    type Near: Copy;
+
+    /// Takes a frame into registers.
+    fn frame(self, planes: &Planes) -> Self::Frame;
+    /// Puts a node aside.
+    fn save(self, saved: &mut Saved, frame: Self::Frame, near: Self::Near);
+    /// Takes a node up again.
+    fn load(self, saved: &Saved) -> (Self::Frame, Self::Near);
+    /// Which slots the ray touches between `way.near` and `far`, a bit an entry in the order of visits, and where they are
+    /// entered. Empty slots are left to the caller.
+    fn touch(self, node: &Node, frame: Self::Frame, way: &Way, far: f32) -> (u32, Self::Near);
+    /// A bit for each of the entries that is not beyond `far`.
+    fn within(self, near: Self::Near, far: f32) -> u32;
+    /// The frame of the inner child in `slot` (0..8); FORMAT.md, "Frame".
+    fn child(self, frame: Self::Frame, node: &Node, slot: usize, way: &Way) -> Self::Frame;
+    /// The filter's word on each triangle of a leaf; as [`Shear::classify`].
+    fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes;
 }
 
 /// Something to be done with whichever kernel is there.
