@@ -6,7 +6,7 @@ use std::marker::PhantomData;
 use super::Found;
 use crate::exact::{Crossing, Depths, Lanes, Line};
 use crate::format::{Leaf, PageId};
-use crate::geometry::{FaceId, Hit, Ray, Skip};
+use crate::geometry::{FaceId, Hit, Ray, Skip, Triangle};
 use crate::map::Page;
 
 /// Where a triangle is stored; its face id is looked up only when it counts.
@@ -101,15 +101,30 @@ struct Settled {
 }
 
 impl<'a> Seen<'a> {
-    /// The same with all that can be known; `None` for a page that turned to zeros.
+    /// The triangle and its number within the page.
     #[inline(always)]
+    fn triangle(&self) -> (Triangle, u32) {
+        (self.stored.leaf.triangle(self.lane as usize), self.stored.leaf.first().wrapping_add(self.lane))
+    }
+
+    /// The answer, where f64 suffices; nothing for a page that turned to zeros.
+    #[inline(always)]
+    fn found(&self, ray: &Ray) -> Option<Found> {
+        let (triangle, reference) = self.triangle();
+        let [t, u, v] = Line::new(ray).rounded(&triangle)?;
+        let face = self.stored.page.face(reference);
+        let hit = Hit { t, face, u, v };
+        (face != FaceId::NONE).then_some(Found { hit, triangle, page: self.stored.id, reference })
+    }
+
+    /// The same with all that can be known; `None` for a page that turned to zeros.
+    #[inline(never)]
     fn settle(&self, line: &Line) -> Option<Settled> {
-        let Stored { page, id, leaf } = &self.stored;
-        let crossing = line.accepted(&leaf.triangle(self.lane as usize)).crossing?;
+        let (triangle, reference) = self.triangle();
+        let crossing = line.accepted(&triangle).crossing?;
         let t = crossing.t_within(line)?;
-        let reference = leaf.first().wrapping_add(self.lane);
-        let face = page.face(reference);
-        (face != FaceId::NONE).then_some(Settled { crossing, t, face, page: *id, reference })
+        let face = self.stored.page.face(reference);
+        (face != FaceId::NONE).then_some(Settled { crossing, t, face, page: self.stored.id, reference })
     }
 }
 
@@ -138,9 +153,16 @@ impl<'a> Closest<'a> {
     /// The answer.
     #[inline(always)]
     pub fn found(&self, ray: &Ray) -> Option<Found> {
-        if matches!(self.best, Best::None) {
-            return None;
+        match &self.best {
+            Best::None => None,
+            Best::Seen(seen) => seen.found(ray).or_else(|| self.found_exactly(ray)),
+            Best::Settled(_) => self.found_exactly(ray),
         }
+    }
+
+    /// The same where f64 does not suffice, or the hit was settled before.
+    #[cold]
+    fn found_exactly(&self, ray: &Ray) -> Option<Found> {
         let line = Line::new(ray);
         let Settled { crossing, t, face, page, reference } = self.settled(&line)?;
         let [u, v] = crossing.uv(&line);
@@ -150,14 +172,7 @@ impl<'a> Closest<'a> {
     /// The answer without where it is stored.
     #[inline(always)]
     pub fn hit(&self, ray: &Ray) -> Hit {
-        if matches!(self.best, Best::None) {
-            return Hit::MISS;
-        }
-        let line = Line::new(ray);
-        self.settled(&line).map_or(Hit::MISS, |best| {
-            let [u, v] = best.crossing.uv(&line);
-            Hit { t: best.t, face: best.face, u, v }
-        })
+        self.found(ray).map_or(Hit::MISS, |found| found.hit)
     }
 }
 

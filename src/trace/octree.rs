@@ -294,7 +294,7 @@ impl<'a> Walk<'a, '_> {
         // The node under way, the frame and the entries of its slots, and those left to visit.
         let (mut top, mut index) = (0, 0);
         let mut node = view.node(index);
-        let mut frame = kernel.frame(&sight.setup.planes(&start.frame));
+        let mut frame = kernel.frame(&sight.setup.planes(&start.frame), &sight.setup.way);
         let (mut left, mut near) = kernel.touch(node, frame, &sight.setup.way, far);
         let mut sheared = false;
         'walk: loop {
@@ -343,7 +343,7 @@ impl<'a> Walk<'a, '_> {
                 bricks += 1;
                 view = self.view(number)?;
                 index = 0;
-                frame = kernel.frame(&sight.setup.planes(&brick_frame(brick)));
+                frame = kernel.frame(&sight.setup.planes(&brick_frame(brick)), &sight.setup.way);
             } else {
                 continue;
             }

@@ -32,7 +32,7 @@
 //!
 //! **Far origins.** From 2^30 root sizes on, f64 places the root too badly along the ray. The start is then brought near the root in exact
 //! steps first ([`approach`]): each leaves 2^-45 of the distance, and the point that it ends at is exact before it is rounded.
-//! Only a ray whose steps do not get there visits all boxes (`inv` = 0, infinite slack in effect), and the exact triangle test decides.
+//! Only a ray whose steps do not get there visits all boxes (`inv` = 2^-60, infinite slack in effect), and the exact triangle test decides.
 
 use super::arch::{Planes, Way};
 use crate::exact::Expansion;
@@ -124,9 +124,11 @@ const PAD: f64 = 1.0 / (1u64 << 46) as f64;
 /// Up to this distance, in root sizes, a ray may be plain.
 const NEAR: f64 = 16.0;
 /// The magnitudes that the components of a plain ray's direction may have.
-const MODERATE: std::ops::RangeInclusive<f32> = 1.0 / (1u64 << 60) as f32..=(1u64 << 60) as f32;
+const MODERATE: std::ops::RangeInclusive<f32> = 1.0 / (1u64 << 40) as f32..=(1u64 << 40) as f32;
 /// From this distance on, in root sizes, the start is brought nearer.
 const FAR: f64 = (1u64 << 30) as f64;
+/// Then this is `inv`: no parameter matters, yet steps stay normal numbers, as the kernels need.
+const BLIND: f64 = 1.0 / (1u64 << 60) as f64;
 /// From this pad on the walk visits all boxes.
 const PAD_MAX: f64 = 1.0 / 64.0;
 
@@ -256,6 +258,7 @@ impl Setup {
             self.slack[i] = slack;
             way.slack[i] = 2.0 * slack;
             way.least[i] = inv * Frame::LEAST_UNIT as f32;
+            way.most[i] = -way.least[i];
         }
         way.mask = mask;
         // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
@@ -307,13 +310,14 @@ impl Setup {
             let origin = p[i] + tau0 * g[i];
             let position = pad + scene.rounding * (origin.abs() + 3.0);
             let slack = ((inv[i].abs() * position) as f32).next_up();
-            let inv = if blind { 0.0 } else { inv[i] };
+            let inv = if blind { BLIND } else { inv[i] };
             self.origin[i] = if blind { 0.0 } else { origin };
             self.slack[i] = if blind { f32::MAX / 4.0 } else { slack };
             self.inv[i] = inv;
             self.inv32[i] = inv as f32;
             way.slack[i] = 2.0 * self.slack[i];
             way.least[i] = inv as f32 * Frame::LEAST_UNIT as f32;
+            way.most[i] = -way.least[i];
         }
         true
     }

@@ -63,8 +63,8 @@ unsafe fn numbers(bytes: *const u8, order: __m128i) -> __m256 {
 /// [`Planes`] in registers.
 #[derive(Clone, Copy)]
 pub(super) struct Frame {
-    pub begin: __m128,
-    pub dt: __m128,
+    begin: __m128,
+    dt: __m128,
 }
 
 /// One lane of four in all eight.
@@ -101,12 +101,12 @@ unsafe fn axis<const I: i32>(node: &Node, frame: Frame, way: &Way, order: __m128
     }
 }
 
-/// The node test for eight slots, shared with AVX-512.
+/// The node test for eight slots.
 ///
 /// # Safety
 /// AVX2 and FMA must be there.
 #[inline(always)]
-pub(super) unsafe fn touch(node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
+unsafe fn touch(node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
     // SAFETY: the caller vouches for the instructions.
     unsafe {
         let order = _mm_loadl_epi64(ORDER[usize::from(way.mask & 7)].as_ptr().cast());
@@ -130,38 +130,41 @@ pub(super) unsafe fn within(near: __m256, far: f32) -> u32 {
     unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, _mm256_set1_ps(far))) as u32 }
 }
 
-/// Takes a frame into registers, shared with AVX-512.
+/// Takes a frame into registers.
 ///
 /// # Safety
 /// AVX2 must be there.
 #[inline(always)]
-pub(super) unsafe fn frame(planes: &Planes) -> Frame {
+unsafe fn frame(planes: &Planes) -> Frame {
     // SAFETY: the caller vouches for the instructions; the arrays are four floats, aligned to 16.
     unsafe { Frame { begin: _mm_load_ps(planes.begin.as_ptr()), dt: _mm_load_ps(planes.dt.as_ptr()) } }
 }
 
-/// Puts a node aside, shared with AVX-512.
+/// Puts a node aside.
 ///
 /// # Safety
 /// AVX2 must be there.
 #[inline(always)]
-pub(super) unsafe fn save(saved: &mut Saved, frame: Frame, near: __m256) {
-    // SAFETY: the caller vouches for the instructions; the arrays are aligned to 32, 16 and 16.
+unsafe fn save(saved: &mut Saved, frame: Frame, near: __m256) {
+    // SAFETY: the caller vouches for the instructions; the arrays are aligned to 32.
     unsafe {
         _mm256_store_ps(saved.near.as_mut_ptr(), near);
-        _mm_store_ps(saved.planes.begin.as_mut_ptr(), frame.begin);
-        _mm_store_ps(saved.planes.dt.as_mut_ptr(), frame.dt);
+        _mm_store_ps(saved.frame.as_mut_ptr(), frame.begin);
+        _mm_store_ps(saved.frame.as_mut_ptr().add(4), frame.dt);
     }
 }
 
-/// Takes a node up again, shared with AVX-512.
+/// Takes a node up again.
 ///
 /// # Safety
 /// AVX2 must be there.
 #[inline(always)]
-pub(super) unsafe fn load(saved: &Saved) -> (Frame, __m256) {
+unsafe fn load(saved: &Saved) -> (Frame, __m256) {
     // SAFETY: as for `save`.
-    unsafe { (frame(&saved.planes), _mm256_load_ps(saved.near.as_ptr())) }
+    unsafe {
+        let at = saved.frame.as_ptr();
+        (Frame { begin: _mm_load_ps(at), dt: _mm_load_ps(at.add(4)) }, _mm256_load_ps(saved.near.as_ptr()))
+    }
 }
 
 /// The planes of one slot, axis by axis.
@@ -174,12 +177,12 @@ unsafe fn slot_planes(planes: &[[u8; 8]; 3], slot: usize) -> __m128i {
     unsafe { _mm_setr_epi32(i32::from(planes[0][slot]), i32::from(planes[1][slot]), i32::from(planes[2][slot]), 0) }
 }
 
-/// A child's frame from the numbers of its low and high planes, shared with AVX-512.
+/// A child's frame from the numbers of its low and high planes.
 ///
 /// # Safety
 /// AVX2 and FMA must be there.
 #[inline(always)]
-pub(super) unsafe fn child(frame: Frame, low: __m128i, high: __m128i, way: &Way) -> Frame {
+unsafe fn child(frame: Frame, low: __m128i, high: __m128i, way: &Way) -> Frame {
     // SAFETY: the caller vouches for the instructions; the array is four floats, aligned to 16.
     unsafe {
         // 2^(floor(log2(high - low)) - 7) by the float's exponent alone; the difference is at least 1.
@@ -200,7 +203,7 @@ impl Kernel for Avx2 {
     type Near = __m256;
 
     #[inline(always)]
-    fn frame(self, planes: &Planes) -> Frame {
+    fn frame(self, planes: &Planes, _: &Way) -> Frame {
         // SAFETY: `self` is proof.
         unsafe { frame(planes) }
     }

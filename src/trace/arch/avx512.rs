@@ -1,4 +1,4 @@
-//! The inner loops with AVX-512: a leaf's sixteen triangles at once. The node test is that of AVX2, which is as fast.
+//! The inner loops with AVX-512: both ends of a node's eight slots at once, or a leaf's sixteen triangles.
 
 use std::arch::x86_64::*;
 
@@ -6,7 +6,7 @@ use super::{Job, Kernel, Planes, Saved, Way, avx2, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
 
-/// Proof that the processor has AVX-512 (F, BW, DQ, VL, VBMI: Ice Lake, Zen 4 and later) and what [`avx2::Avx2`] stands for.
+/// Proof that the processor has AVX-512 (F, BW, DQ, VL, CD, VBMI: Ice Lake, Zen 4 and later) and what [`avx2::Avx2`] stands for.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Avx512(());
 
@@ -18,7 +18,8 @@ impl Avx512 {
             && is_x86_feature_detected!("avx512bw")
             && is_x86_feature_detected!("avx512dq")
             && is_x86_feature_detected!("avx512vl")
-            && is_x86_feature_detected!("avx512vbmi");
+            && is_x86_feature_detected!("avx512vbmi")
+            && is_x86_feature_detected!("avx512cd");
         has.then_some(Avx512(()))
     }
 }
@@ -27,56 +28,144 @@ impl Avx512 {
 ///
 /// # Safety
 /// [`Avx512::detect`] must have found the instruction set.
-#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi,avx512cd,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
 pub(super) unsafe fn run<J: Job>(job: J) -> J::Output {
     job.run(Avx512(()))
 }
 
+/// For each direction mask m and axis the bytes of a node that the node test takes: in lane i the plane by which slot i XOR m is entered,
+/// in lane 8 + i the one by which it is left; only the first byte of a lane's four counts.
+static ORDER: [[Index; 3]; 8] = {
+    let mut order = [[Index([0; 64]); 3]; 8];
+    let mut m = 0;
+    while m < 8 {
+        let mut axis = 0;
+        while axis < 3 {
+            // Low planes at 8 * axis, high ones 24 further on; a downward ray enters by the high plane.
+            let down = if m >> (2 - axis) & 1 != 0 { 24 } else { 0 };
+            let mut i = 0;
+            while i < 8 {
+                order[m][axis].0[4 * i] = (8 * axis + down + (i ^ m)) as u8;
+                order[m][axis].0[4 * (8 + i)] = (8 * axis + 24 - down + (i ^ m)) as u8;
+                i += 1;
+            }
+            axis += 1;
+        }
+        m += 1;
+    }
+    order
+};
+
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+struct Index([u8; 64]);
+
+/// The first byte of each lane.
+const FIRST: u64 = 0x1111_1111_1111_1111;
+
+/// [`Planes`] in one register: begin, dt, -end, -dt; so that one axis' sixteen parameters, those of leaving negated, are one
+/// multiplication and addition.
+type Frame = __m512;
+
+/// The lanes of a frame that hold dt and -dt.
+const STEPS: u16 = 0xf0f0;
+
+/// The parameters of one axis, those at which slots are left negated.
+///
+/// # Safety
+/// AVX-512 must be there.
+#[inline(always)]
+unsafe fn axis<const I: i32>(node: __m512i, frame: Frame, way: &Way) -> __m512 {
+    // SAFETY: the caller vouches for the instructions; the index is 64 bytes, aligned.
+    unsafe {
+        let order = &ORDER[usize::from(way.mask & 7)][I as usize];
+        let order = _mm512_load_si512(order.0.as_ptr().cast());
+        let plane = _mm512_cvtepi32_ps(_mm512_maskz_permutexvar_epi8(FIRST, order, node));
+        let begin = _mm512_mask_mov_epi32(_mm512_set1_epi32(I), 0xff00, _mm512_set1_epi32(8 + I));
+        let dt = _mm512_mask_mov_epi32(_mm512_set1_epi32(4 + I), 0xff00, _mm512_set1_epi32(12 + I));
+        _mm512_fmadd_ps(plane, _mm512_permutexvar_ps(dt, frame), _mm512_permutexvar_ps(begin, frame))
+    }
+}
+
 impl Kernel for Avx512 {
-    type Frame = avx2::Frame;
+    type Frame = Frame;
     type Near = __m256;
 
     #[inline(always)]
-    fn frame(self, planes: &Planes) -> avx2::Frame {
-        // SAFETY: `self` is proof.
-        unsafe { avx2::frame(planes) }
+    fn frame(self, planes: &Planes, way: &Way) -> Frame {
+        // SAFETY: `self` is proof; the arrays are four floats.
+        unsafe {
+            let (begin, dt) = (_mm_loadu_ps(planes.begin.as_ptr()), _mm_loadu_ps(planes.dt.as_ptr()));
+            let (end, sign) = (_mm_add_ps(begin, _mm_loadu_ps(way.slack.as_ptr())), _mm_set1_ps(-0.0));
+            let enter = _mm256_set_m128(dt, begin);
+            let leave = _mm256_set_m128(_mm_xor_ps(dt, sign), _mm_xor_ps(end, sign));
+            _mm512_insertf32x8::<1>(_mm512_castps256_ps512(enter), leave)
+        }
     }
 
     #[inline(always)]
-    fn save(self, saved: &mut Saved, frame: avx2::Frame, near: __m256) {
-        // SAFETY: `self` is proof.
-        unsafe { avx2::save(saved, frame, near) }
+    fn save(self, saved: &mut Saved, frame: Frame, near: __m256) {
+        // SAFETY: `self` is proof; the arrays are of eight and sixteen floats.
+        unsafe {
+            _mm256_storeu_ps(saved.near.as_mut_ptr(), near);
+            _mm512_storeu_ps(saved.frame.as_mut_ptr(), frame);
+        }
     }
 
     #[inline(always)]
-    fn load(self, saved: &Saved) -> (avx2::Frame, __m256) {
-        // SAFETY: `self` is proof.
-        unsafe { avx2::load(saved) }
+    fn load(self, saved: &Saved) -> (Frame, __m256) {
+        // SAFETY: as for `save`.
+        unsafe { (_mm512_loadu_ps(saved.frame.as_ptr()), _mm256_loadu_ps(saved.near.as_ptr())) }
     }
 
     #[inline(always)]
-    fn touch(self, node: &Node, frame: avx2::Frame, way: &Way, far: f32) -> (u32, __m256) {
-        // SAFETY: `self` is proof.
-        unsafe { avx2::touch(node, frame, way, far) }
+    fn touch(self, node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
+        // SAFETY: `self` is proof. A node is 64 bytes.
+        unsafe {
+            let node = _mm512_loadu_si512(std::ptr::from_ref(node).cast());
+            let (x, y, z) = (axis::<0>(node, frame, way), axis::<1>(node, frame, way), axis::<2>(node, frame, way));
+            let ends = _mm512_mask_mov_ps(_mm512_set1_ps(way.near), 0xff00, _mm512_set1_ps(-far));
+            // Where an operand is NaN the second is the result: at worst a plane binds nothing, and the ray's own ends always do.
+            let bounds = _mm512_max_ps(_mm512_max_ps(y, z), _mm512_max_ps(x, ends));
+            let near = _mm512_castps512_ps256(bounds);
+            let last = _mm256_xor_ps(_mm512_extractf32x8_ps::<1>(bounds), _mm256_set1_ps(-0.0));
+            (u32::from(_mm256_cmp_ps_mask::<_CMP_LE_OQ>(near, last)), near)
+        }
     }
 
     #[inline(always)]
     fn within(self, near: __m256, far: f32) -> u32 {
         // SAFETY: `self` is proof.
-        unsafe { avx2::within(near, far) }
+        unsafe { u32::from(_mm256_cmp_ps_mask::<_CMP_LE_OQ>(near, _mm256_set1_ps(far))) }
     }
 
     #[inline(always)]
-    fn child(self, frame: avx2::Frame, node: &Node, slot: usize, way: &Way) -> avx2::Frame {
-        // SAFETY: `self` is proof. A node is 64 bytes, aligned to 4 at least.
+    fn child(self, frame: Frame, node: &Node, slot: usize, way: &Way) -> Frame {
+        // SAFETY: `self` is proof. A node is 64 bytes.
         unsafe {
             let bytes = _mm512_loadu_si512(std::ptr::from_ref(node).cast());
             // Bytes slot, 8 + slot, 16 + slot of the low planes, each in a lane of its own; the high ones are 24 further on.
-            let at = _mm_add_epi8(_mm_set1_epi8(slot as i8 & 7), _mm_setr_epi32(0, 8, 16, 0));
-            let further = _mm_add_epi8(at, _mm_set1_epi8(24));
-            let low = _mm512_maskz_permutexvar_epi8(0x111, _mm512_castsi128_si512(at), bytes);
-            let high = _mm512_maskz_permutexvar_epi8(0x111, _mm512_castsi128_si512(further), bytes);
-            avx2::child(frame, _mm512_castsi512_si128(low), _mm512_castsi512_si128(high), way)
+            let low = _mm512_broadcast_i32x4(_mm_setr_epi32(0, 8, 16, 0));
+            let low = _mm512_add_epi8(low, _mm512_set1_epi8(slot as i8 & 7));
+            let high = _mm512_add_epi8(low, _mm512_set1_epi8(24));
+            const XYZ: u64 = 0x0111_0111_0111_0111;
+            let low = _mm512_maskz_permutexvar_epi8(XYZ, low, bytes);
+            let high = _mm512_maskz_permutexvar_epi8(XYZ, high, bytes);
+            // dt times 2^(floor(log2(high - low)) - 7), by its exponent: dt is normal, and so is 2^-7 of the smallest. floor(log2(x)) is 31
+            // less the leading zeros.
+            let zeros = _mm512_slli_epi32::<23>(_mm512_lzcnt_epi32(_mm512_sub_epi32(high, low)));
+            let step = _mm512_add_epi32(_mm512_castps_si512(frame), _mm512_set1_epi32(24 << 23));
+            // The larger magnitude: signs agree.
+            let least = _mm256_loadu_ps(way.least.as_ptr());
+            let least = _mm512_castps_si512(_mm512_shuffle_f32x4::<0b01_01_00_00>(
+                _mm512_castps256_ps512(least),
+                _mm512_castps256_ps512(least),
+            ));
+            let step = _mm512_castsi512_ps(_mm512_max_epu32(_mm512_sub_epi32(step, zeros), least));
+            // dt beside begin, -dt beside -end.
+            let dt = _mm512_shuffle_f32x4::<0b11_11_01_01>(frame, frame);
+            let moved = _mm512_fmadd_ps(_mm512_cvtepi32_ps(low), dt, frame);
+            _mm512_mask_mov_ps(moved, STEPS, step)
         }
     }
 

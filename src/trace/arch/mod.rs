@@ -35,6 +35,8 @@ pub(super) struct Planes {
 pub(super) struct Way {
     /// 2^-32 in parameter units: dt of the smallest frame.
     pub least: [f32; 4],
+    /// Its negative.
+    pub most: [f32; 4],
     /// Twice the setup's slack.
     pub slack: [f32; 4],
     /// The direction mask a: bit 2 - i set where axis i is traversed downwards.
@@ -47,8 +49,9 @@ pub(super) struct Way {
 #[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 #[repr(C, align(32))]
 pub(super) struct Saved {
-    pub near: [f32; 8],
-    pub planes: Planes,
+    near: [f32; 8],
+    /// As the kernel has it.
+    frame: [f32; 16],
 }
 
 /// The inner loops for one instruction set. A value of the type is proof that the processor has it.
@@ -59,7 +62,7 @@ pub(super) trait Kernel: Copy {
     type Near: Copy;
 
     /// Takes a frame into registers.
-    fn frame(self, planes: &Planes) -> Self::Frame;
+    fn frame(self, planes: &Planes, way: &Way) -> Self::Frame;
     /// Puts a node aside.
     fn save(self, saved: &mut Saved, frame: Self::Frame, near: Self::Near);
     /// Takes a node up again.

@@ -13,18 +13,21 @@ impl Kernel for Scalar {
     type Near = [f32; 8];
 
     #[inline(always)]
-    fn frame(self, planes: &Planes) -> Planes {
+    fn frame(self, planes: &Planes, _: &Way) -> Planes {
         *planes
     }
 
     #[inline(always)]
     fn save(self, saved: &mut Saved, planes: Planes, near: [f32; 8]) {
-        *saved = Saved { near, planes };
+        saved.near = near;
+        saved.frame[..4].copy_from_slice(&planes.begin);
+        saved.frame[4..8].copy_from_slice(&planes.dt);
     }
 
     #[inline(always)]
     fn load(self, saved: &Saved) -> (Planes, [f32; 8]) {
-        (saved.planes, saved.near)
+        let four = |at: usize| std::array::from_fn(|i| saved.frame[at + i]);
+        (Planes { begin: four(0), dt: four(4) }, saved.near)
     }
 
     /// Maxima and minima are comparisons that keep the bound in place where a value is NaN.
