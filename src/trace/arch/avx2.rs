@@ -346,10 +346,8 @@ impl Table {
                 return Lanes { accept: 0, doubt };
             }
             let sum = _mm256_add_ps(_mm256_add_ps(u, v), w);
-            let weighted = _mm256_add_ps(
-                _mm256_add_ps(_mm256_mul_ps(u, a[2]), _mm256_mul_ps(v, b[2])),
-                _mm256_mul_ps(w, c[2]),
-            );
+            let weighted =
+                _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(u, a[2]), _mm256_mul_ps(v, b[2])), _mm256_mul_ps(w, c[2]));
             let t = _mm256_mul_ps(_mm256_div_ps(weighted, sum), _mm256_set1_ps(shear.inverse()));
             let most = _mm256_max_ps(_mm256_max_ps(a[2], b[2]), c[2]);
             let least = _mm256_min_ps(_mm256_min_ps(a[2], b[2]), c[2]);
