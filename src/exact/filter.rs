@@ -24,11 +24,11 @@
 //! their range and D the computed sum of U_i, the quotient of the computed sums is off by
 //! - b (sum of |z_i - z|) / |D| <= 2 b R / |D|: the U_i, z being a weighted mean of the z_i and so within their range;
 //! - eps Z: the translation of each z_i;
-//! - 6.1 eps Z: products, sums, and the quotient (no cancellation in the U_i, and |U_i z_i| <= |U_i| Z);
+//! - 7.1 eps Z: products, sums, 1 / D and the product with it (no cancellation in the U_i, and |U_i z_i| <= |U_i| Z);
 //! - 2 eps Z: 1 / dz and the product with it; eps Z: adding and taking off the bound itself;
-//! - underflow of the products U_i z_i: 3 * 2^-149 / |D|, and |D| > 3 * 2.01 E^2 > 2^-42 M^2, so below 2^-105 / M^2.
+//! - underflow of the products U_i z_i: 3 * 2^-149 / |D|, and |D| > 3 * 2.01 E^2 > 2^-41 M^2 >= 2^-101, so below 2^-46.
 //!
-//! So h = |1 / dz| (2.2 b R / |D| + 12 eps Z + 2^-104 / M^2) + 2^-126 bounds |t - computed t|, its own roundings and those of R and D included.
+//! So h = |1 / dz| (2.2 b R / |D| + 12 eps Z + 2^-44) + 2^-126 bounds |t - computed t|, its own roundings and those of R and D included.
 //!
 //! **Range.** The filter is trusted only for 2^-30 <= M <= 2^60 and 2^-100 <= |dz| <= 2^100. Then products stay below 4 M^2 <= 2^122, and what may
 //! underflow (at most 2^-150 each in sx, times M, and in the products) is far below eps M >= 2^-54 and E^2 >= 2^-103. Outside this
@@ -112,7 +112,7 @@ impl Shear {
         let trusted = TRUSTED.contains(&m) & STEEP.contains(&d[z].abs());
         let constant = if trusted { 2.01 * e * e } else { f32::INFINITY };
         let inverse = 1.0 / d[z];
-        let (scale, underflow) = (inverse.abs(), 1.0 / (1u128 << 104) as f32 / (m * m));
+        let (scale, underflow) = (inverse.abs(), 1.0 / (1u64 << 44) as f32);
         Shear {
             axes,
             origin: [o[x], o[y], o[z]],
@@ -192,10 +192,11 @@ impl Shear {
             lanes.doubt |= u32::from(!(miss | hit)) << j;
             if hit {
                 let sum = (u + v) + w;
-                let t = ((u * az + v * bz) + w * cz) / sum * self.inverse;
+                let share = 1.0 / sum;
+                let t = ((u * az + v * bz) + w * cz) * share * self.inverse;
                 let (most, least) = (greater(greater(az, bz), cz), lesser(lesser(az, bz), cz));
                 let [of_shape, of_depth, constant] = self.depth;
-                let shape = bound * (most - least) / sum.abs() * of_shape;
+                let shape = bound * (most - least) * share.abs() * of_shape;
                 let h = (shape + greater(most.abs(), least.abs()) * of_depth) + constant;
                 (depths.lo[j], depths.hi[j]) = (t - h, t + h);
                 // NaN compares false: kept.

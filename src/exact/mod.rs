@@ -24,4 +24,5 @@ pub use expansion::Expansion;
 pub use filter::{Depths, LANES, Lanes, Shear};
 pub use overlap::touches_box;
 pub use plane::{exactly_degenerate, orient2d};
+pub(crate) use predicates::U;
 pub use predicates::side;

@@ -1,6 +1,7 @@
 //! What is asked about a ray: the closest hit, the next one, or whether there is any.
 
 use super::Found;
+use super::arch::Kernel;
 use super::collect::{Any, Closest, Collector};
 use crate::exact::Line;
 use crate::geometry::{Hit, Ray, Skip};
@@ -13,7 +14,7 @@ pub(super) trait Ask {
     /// The answer where nothing is hit.
     const NOTHING: Self::Answer;
     fn begin<'a>(&self, ray: &Ray) -> Self::Collector<'a>;
-    fn end(collector: Self::Collector<'_>, ray: &Ray) -> Self::Answer;
+    fn end<K: Kernel>(kernel: K, collector: Self::Collector<'_>, ray: &Ray) -> Self::Answer;
 }
 
 /// The closest hit, after `last` if that is given.
@@ -33,8 +34,8 @@ impl Ask for Least<'_> {
     }
 
     #[inline(always)]
-    fn end(collector: Closest<'_>, ray: &Ray) -> Option<Found> {
-        collector.found(ray)
+    fn end<K: Kernel>(kernel: K, collector: Closest<'_>, ray: &Ray) -> Option<Found> {
+        collector.found(kernel, ray)
     }
 }
 
@@ -52,8 +53,8 @@ impl Ask for LeastHit {
     }
 
     #[inline(always)]
-    fn end(collector: Closest<'_>, ray: &Ray) -> Hit {
-        collector.hit(ray)
+    fn end<K: Kernel>(kernel: K, collector: Closest<'_>, ray: &Ray) -> Hit {
+        collector.found(kernel, ray).map_or(Hit::MISS, |found| found.hit)
     }
 }
 
@@ -71,7 +72,7 @@ impl Ask for Whether {
     }
 
     #[inline(always)]
-    fn end(collector: Any<'_>, _: &Ray) -> bool {
+    fn end<K: Kernel>(_: K, collector: Any<'_>, _: &Ray) -> bool {
         collector.found
     }
 }

@@ -4,9 +4,10 @@ use std::cmp::Ordering;
 use std::marker::PhantomData;
 
 use super::Found;
+use super::arch::Kernel;
 use crate::exact::{Crossing, Depths, Lanes, Line};
 use crate::format::{Leaf, PageId};
-use crate::geometry::{FaceId, Hit, Ray, Skip, Triangle};
+use crate::geometry::{FaceId, Hit, Ray, Skip};
 use crate::map::Page;
 
 /// Where a triangle is stored; its face id is looked up only when it counts.
@@ -101,27 +102,27 @@ struct Settled {
 }
 
 impl<'a> Seen<'a> {
-    /// The triangle and its number within the page.
+    /// The triangle's number within the page.
     #[inline(always)]
-    fn triangle(&self) -> (Triangle, u32) {
-        (self.stored.leaf.triangle(self.lane as usize), self.stored.leaf.first().wrapping_add(self.lane))
+    fn reference(&self) -> u32 {
+        self.stored.leaf.first().wrapping_add(self.lane)
     }
 
     /// The answer, where f64 suffices; nothing for a page that turned to zeros.
     #[inline(always)]
-    fn found(&self, ray: &Ray) -> Option<Found> {
-        let (triangle, reference) = self.triangle();
-        let [t, u, v] = Line::new(ray).rounded(&triangle)?;
-        let face = self.stored.page.face(reference);
-        let hit = Hit { t, face, u, v };
-        (face != FaceId::NONE).then_some(Found { hit, triangle, page: self.stored.id, reference })
+    fn found<K: Kernel>(&self, kernel: K, ray: &Ray) -> Option<Found> {
+        let (Stored { page, id, leaf }, reference) = (&self.stored, self.reference());
+        let [t, u, v] = kernel.rounded(leaf, self.lane as usize, ray)?;
+        let face = page.face(reference);
+        let (hit, triangle) = (Hit { t, face, u, v }, leaf.triangle(self.lane as usize));
+        (face != FaceId::NONE).then_some(Found { hit, triangle, page: *id, reference })
     }
 
     /// The same with all that can be known; `None` for a page that turned to zeros.
     #[inline(never)]
     fn settle(&self, line: &Line) -> Option<Settled> {
-        let (triangle, reference) = self.triangle();
-        let crossing = line.accepted(&triangle).crossing?;
+        let reference = self.reference();
+        let crossing = line.accepted(&self.stored.leaf.triangle(self.lane as usize)).crossing?;
         let t = crossing.t_within(line)?;
         let face = self.stored.page.face(reference);
         (face != FaceId::NONE).then_some(Settled { crossing, t, face, page: self.stored.id, reference })
@@ -152,27 +153,21 @@ impl<'a> Closest<'a> {
 
     /// The answer.
     #[inline(always)]
-    pub fn found(&self, ray: &Ray) -> Option<Found> {
+    pub fn found<K: Kernel>(&self, kernel: K, ray: &Ray) -> Option<Found> {
         match &self.best {
             Best::None => None,
-            Best::Seen(seen) => seen.found(ray).or_else(|| self.found_exactly(ray)),
+            Best::Seen(seen) => seen.found(kernel, ray).or_else(|| self.found_exactly(ray)),
             Best::Settled(_) => self.found_exactly(ray),
         }
     }
 
     /// The same where f64 does not suffice, or the hit was settled before.
     #[cold]
-    fn found_exactly(&self, ray: &Ray) -> Option<Found> {
+    pub fn found_exactly(&self, ray: &Ray) -> Option<Found> {
         let line = Line::new(ray);
         let Settled { crossing, t, face, page, reference } = self.settled(&line)?;
         let [u, v] = crossing.uv(&line);
         Some(Found { hit: Hit { t, face, u, v }, triangle: crossing.triangle, page, reference })
-    }
-
-    /// The answer without where it is stored.
-    #[inline(always)]
-    pub fn hit(&self, ray: &Ray) -> Hit {
-        self.found(ray).map_or(Hit::MISS, |found| found.hit)
     }
 }
 

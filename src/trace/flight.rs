@@ -13,7 +13,7 @@ use super::arch::{Job, Kernel, Saved};
 use super::ask::Ask;
 use super::collect::{Collector, Next, Stored};
 use super::setup::Setup;
-use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Level, Sight, Start, TOP, View, brick_frame, keep, range, take};
+use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Level, Sight, Start, TOP, View, cell_of, keep, range, take};
 use crate::error::Result;
 use crate::exact::{Depths, Lanes, Shear};
 use crate::geometry::Ray;
@@ -115,7 +115,7 @@ impl<A: Ask> Job for Flight<'_, '_, A> {
                     continue;
                 }
                 let blank = ask.begin(&ray.ray);
-                answers[ray.place] = A::end(std::mem::replace(&mut ray.collector, blank), &ray.ray);
+                answers[ray.place] = A::end(kernel, std::mem::replace(&mut ray.collector, blank), &ray.ray);
                 if !launch(kernel, &ask, rays, answers, &mut next, &file, &start, ray, counters) {
                     // The last one takes this place.
                     aloft -= 1;
@@ -144,12 +144,12 @@ fn launch<'a, K: Kernel, A: Ask>(
     while let Some(ray) = rays.get(*next) {
         let place = *next;
         *next += 1;
-        if !(ray.is_valid() && flying.sight.setup.aim(ray, file.scene)) {
+        if !flying.sight.setup.aim(kernel, ray, file.scene) {
             answers[place] = A::NOTHING;
             continue;
         }
         let setup = &flying.sight.setup;
-        let frame = kernel.frame(&setup.planes(&start.frame), &setup.way);
+        let frame = kernel.frame(&start.cell, &setup.aim, &setup.way);
         let (left, near) = kernel.touch(start.view.node(0), frame, &setup.way, setup.far);
         kernel.save(&mut flying.saved, frame, near);
         counters.nodes += 1;
@@ -228,7 +228,7 @@ fn step<'a, K: Kernel, C: Collector<'a>>(
         counters.bricks += 1;
         *view = file.view(number)?;
         *index = 0;
-        kernel.frame(&sight.setup.planes(&brick_frame(brick)), &sight.setup.way)
+        kernel.frame(&cell_of(brick), &sight.setup.aim, &sight.setup.way)
     } else {
         return Ok(true);
     };

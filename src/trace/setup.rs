@@ -5,7 +5,7 @@
 //! of the interval's point nearest to the origin within the root: so |p'| is about 1 however far the origin, and all parameters of the node
 //! loop, which are relative to tau0, are about 1 too, where f32 is fine.
 //!
-//! **Plain rays**, whose origin is within [`NEAR`] root sizes and whose components are all of moderate size (most rays by far), need none of
+//! **Plain rays**, whose origin is within 16 root sizes and whose components are all of moderate size (most rays by far), need none of
 //! this: p' = p, tau0 = 0, and the parameters are those of the ray itself, t.
 //!
 //! **Errors of f64**, P = max |p_i|: p, tau0 g and p' are each off by a few 2^-53 (P + 2) in position; `pad` = 2^-46 (P + 2) is more than
@@ -15,8 +15,8 @@
 //! t0 + q dt. The walk carries t0 less the slack (`begin`); a child's is fl(t0 + fl(low dt)), or fused with one rounding
 //! less, its dt the parent's times an exact power of two. The corners of frames lie in 0..1, and low * unit summed over a path is
 //! at most 1. So a plane's computed parameter is off by at most
-//! - 2 eps (A + 1): t0 of the root or brick, from inv and the product's rounding to f32; twice that for taking off the slack, and for
-//!   adding it, doubled, again where planes are left;
+//! - 4 eps (A + 1): t0 of the root or brick, from the corner's distance in f32, inv, their product, and taking off the slack;
+//! - eps (A + 1): adding the slack, doubled, again where planes are left;
 //! - eps: the rounding of inv itself, on a path's sum of q * dt;
 //! - eps: the products' roundings, which add up to those on one path;
 //! - eps (A + 1) for each of L levels, and once more at the last plane: the sums' roundings.
@@ -34,7 +34,7 @@
 //! steps first ([`approach`]): each leaves 2^-45 of the distance, and the point that it ends at is exact before it is rounded.
 //! Only a ray whose steps do not get there visits all boxes (`inv` = 2^-60, infinite slack in effect), and the exact triangle test decides.
 
-use super::arch::{Planes, Way};
+use super::arch::{Aim, Fit, Kernel, Way};
 use crate::exact::Expansion;
 use crate::format::Frame;
 use crate::geometry::{Aabb, Ray, RootCube};
@@ -47,8 +47,8 @@ pub(super) struct Scene {
     root: RootCube,
     /// 1 / the root's side, a power of two.
     scale: f64,
-    /// The root's side, if it is moderate; else 0.
-    side: f32,
+    /// What aiming plain rays needs.
+    fit: Fit,
     /// eps (L + 8).
     rounding: f64,
 }
@@ -56,9 +56,11 @@ pub(super) struct Scene {
 impl Scene {
     /// `depth` is the file's.
     pub fn new(root: RootCube, bounds: Aabb, depth: u32) -> Scene {
-        let side = if root.log2_side.abs() <= 40 { exp2(root.log2_side) as f32 } else { 0.0 };
-        let rounding = (f64::from(depth) + 8.0) / 16_777_216.0;
-        Scene { bounds, root, scale: exp2(-root.log2_side), side, rounding }
+        let side = if root.log2_side.abs() <= 40 { exp2(root.log2_side) as f32 } else { f32::INFINITY };
+        let (scale, rounding) = (exp2(-root.log2_side), (f64::from(depth) + 8.0) / 16_777_216.0);
+        let [x, y, z] = root.corner.to_array();
+        let fit = Fit { corner: [x, y, z, 0.0], scale, side, rounding: rounding as f32 };
+        Scene { bounds, root, scale, fit, rounding }
     }
 }
 
@@ -67,13 +69,8 @@ impl Scene {
 pub(super) struct Setup {
     /// For the node test.
     pub way: Way,
-    /// p'.
-    origin: [f64; 3],
-    inv: [f64; 3],
-    /// `inv` rounded once; dt of a frame is its unit times this.
-    inv32: [f32; 3],
-    /// In parameter units, see above.
-    slack: [f32; 3],
+    /// For frames.
+    pub aim: Aim,
     /// Whether parameters are the ray's own.
     plain: bool,
     /// The parameter (relative to tau0) at which the ray leaves the root or its interval, rounded up.
@@ -121,10 +118,6 @@ fn lesser(a: f64, b: f64) -> f64 {
 
 const LEAST_COMPONENT: f64 = 1.0 / (1u128 << 100) as f64;
 const PAD: f64 = 1.0 / (1u64 << 46) as f64;
-/// Up to this distance, in root sizes, a ray may be plain.
-const NEAR: f64 = 16.0;
-/// The magnitudes that the components of a plain ray's direction may have.
-const MODERATE: std::ops::RangeInclusive<f32> = 1.0 / (1u64 << 40) as f32..=(1u64 << 40) as f32;
 /// From this distance on, in root sizes, the start is brought nearer.
 const FAR: f64 = (1u64 << 30) as f64;
 /// Then this is `inv`: no parameter matters, yet steps stay normal numbers, as the kernels need.
@@ -208,10 +201,7 @@ impl Setup {
     pub fn blank() -> Setup {
         Setup {
             way: Way::default(),
-            origin: [0.0; 3],
-            inv: [0.0; 3],
-            inv32: [0.0; 3],
-            slack: [0.0; 3],
+            aim: Aim::default(),
             plain: false,
             far: 0.0,
             scale: 0.0,
@@ -220,9 +210,24 @@ impl Setup {
         }
     }
 
-    /// Prepares a valid ray; false if it is found to miss the root cube, and then nothing here is to be used.
+    /// Prepares a ray; false if it is invalid or found to miss the root cube, and then nothing here is to be used.
     #[inline(always)]
-    pub fn aim(&mut self, ray: &Ray, scene: &Scene) -> bool {
+    pub fn aim<K: Kernel>(&mut self, kernel: K, ray: &Ray, scene: &Scene) -> bool {
+        // pad is below 2^-41, so far below eps (L + 8) that the kernel's constant 3.01 in place of 3 covers it, and its own roundings.
+        if kernel.aim(ray, &scene.fit, &mut self.way, &mut self.aim) {
+            // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
+            self.way.near = ray.tmin.next_down();
+            self.far = ray.tmax.next_up();
+            self.plain = true;
+            return true;
+        }
+        ray.is_valid() && self.aim_any(ray, scene)
+    }
+
+    /// Prepares any valid ray.
+    #[inline(never)]
+    fn aim_any(&mut self, ray: &Ray, scene: &Scene) -> bool {
+        self.plain = false;
         let corner = scene.root.corner;
         // Scaling by powers of two is exact.
         let p = [
@@ -230,47 +235,6 @@ impl Setup {
             (f64::from(ray.origin[1]) - corner.y) * scene.scale,
             (f64::from(ray.origin[2]) - corner.z) * scene.scale,
         ];
-        let moderate = |x: f32| MODERATE.contains(&x.abs());
-        let [x, y, z] = ray.direction;
-        let near = (p[0].abs() <= NEAR) & (p[1].abs() <= NEAR) & (p[2].abs() <= NEAR);
-        if moderate(x) & moderate(y) & moderate(z) & near & (scene.side != 0.0) {
-            self.aim_plain(ray, scene, p);
-            return true;
-        }
-        self.aim_any(ray, scene, p)
-    }
-
-    /// Prepares a plain ray.
-    #[inline(always)]
-    fn aim_plain(&mut self, ray: &Ray, scene: &Scene, p: [f64; 3]) {
-        let rounding = scene.rounding as f32;
-        let way = &mut self.way;
-        let mut mask = 0;
-        for i in 0..3 {
-            let d = ray.direction[i];
-            let inv = scene.side / d;
-            // pad is below 2^-41, so far below eps (L + 8) that the next constant covers it, and the roundings here.
-            let slack = inv.abs() * (rounding * (p[i].abs() as f32 + 3.01));
-            mask = mask << 1 | u8::from(d < 0.0);
-            self.origin[i] = p[i];
-            self.inv[i] = f64::from(inv);
-            self.inv32[i] = inv;
-            self.slack[i] = slack;
-            way.slack[i] = 2.0 * slack;
-            way.least[i] = inv * Frame::LEAST_UNIT as f32;
-            way.most[i] = -way.least[i];
-        }
-        way.mask = mask;
-        // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
-        way.near = ray.tmin.next_down();
-        self.far = ray.tmax.next_up();
-        self.plain = true;
-    }
-
-    /// Prepares any ray.
-    #[inline(never)]
-    fn aim_any(&mut self, ray: &Ray, scene: &Scene, p: [f64; 3]) -> bool {
-        self.plain = false;
         let [dx, dy, dz] = [f64::from(ray.direction[0]), f64::from(ray.direction[1]), f64::from(ray.direction[2])];
         let exponent = log2_floor(greater(greater(dx.abs(), dy.abs()), dz.abs()));
         let shrink = exp2(-exponent);
@@ -310,28 +274,15 @@ impl Setup {
             let origin = p[i] + tau0 * g[i];
             let position = pad + scene.rounding * (origin.abs() + 3.0);
             let slack = ((inv[i].abs() * position) as f32).next_up();
-            let inv = if blind { BLIND } else { inv[i] };
-            self.origin[i] = if blind { 0.0 } else { origin };
-            self.slack[i] = if blind { f32::MAX / 4.0 } else { slack };
-            self.inv[i] = inv;
-            self.inv32[i] = inv as f32;
-            way.slack[i] = 2.0 * self.slack[i];
-            way.least[i] = inv as f32 * Frame::LEAST_UNIT as f32;
-            way.most[i] = -way.least[i];
+            let inv = if blind { BLIND } else { inv[i] } as f32;
+            let slack = if blind { f32::MAX / 4.0 } else { slack };
+            self.aim.origin[i] = if blind { 0.0 } else { origin };
+            self.aim.inv[i] = inv;
+            self.aim.slack[i] = slack;
+            way.slack[i] = 2.0 * slack;
+            way.least[i] = inv * Frame::LEAST_UNIT as f32;
         }
         true
-    }
-
-    /// The parameters of a brick's or the root's frame: its corner's rounded once, then the slack taken off.
-    #[inline(always)]
-    pub fn planes(&self, frame: &Frame) -> Planes {
-        let mut planes = Planes { begin: [0.0; 4], dt: [0.0; 4] };
-        for i in 0..3 {
-            let corner = ((frame.corner[i] - self.origin[i]) * self.inv[i]) as f32;
-            planes.begin[i] = corner - self.slack[i];
-            planes.dt[i] = frame.unit[i] as f32 * self.inv32[i];
-        }
-        planes
     }
 
     /// The parameter that no nearer node may pass, for a hit at most at `t`, rounded up.

@@ -19,13 +19,13 @@ use std::cell::RefCell;
 use bytemuck::Zeroable;
 
 use super::Counters;
-use super::arch::{Job, Kernel, Saved};
+use super::arch::{Cell, Job, Kernel, Saved};
 use super::ask::Ask;
 use super::collect::{Collector, Next, Place, Stored};
 use super::setup::{Scene, Setup};
 use crate::error::Result;
 use crate::exact::{Decision, Depths, Lanes, Line, Shear};
-use crate::format::{Brick, DEPTH_MAX, Frame, Node, PageId};
+use crate::format::{Brick, DEPTH_MAX, Node, PageId};
 use crate::geometry::{FaceId, Ray};
 use crate::map::{Octree, Page};
 
@@ -95,7 +95,7 @@ impl<A: Ask> Job for OneByOne<'_, '_, A> {
             let mut sight = Sight { setup: Setup::blank(), shear: Shear::default(), depths: Depths::BLANK };
             let mut start = None;
             for (ray, answer) in rays.iter().zip(answers) {
-                if !(ray.is_valid() && sight.setup.aim(ray, file.scene)) {
+                if !sight.setup.aim(kernel, ray, file.scene) {
                     *answer = A::NOTHING;
                     continue;
                 }
@@ -105,7 +105,7 @@ impl<A: Ask> Job for OneByOne<'_, '_, A> {
                 };
                 let mut collector = ask.begin(ray);
                 file.walk(kernel, stack, start, ray, &mut sight, &mut collector, counters)?;
-                *answer = A::end(collector, ray);
+                *answer = A::end(kernel, collector, ray);
             }
             Ok(())
         }
@@ -122,7 +122,7 @@ pub(super) struct Sight {
 /// Where every ray of a file begins.
 pub(super) struct Start<'a> {
     pub view: View<'a>,
-    pub frame: Frame,
+    pub cell: Cell,
 }
 
 impl<'a> File<'a> {
@@ -134,9 +134,9 @@ impl<'a> File<'a> {
     /// The root of the top, or of the only page.
     pub fn start(&self) -> Result<Start<'a>> {
         match (self.octree.top_nodes().is_empty(), self.octree.bricks()) {
-            (false, _) => Ok(Start { view: self.view(TOP)?, frame: Frame::ROOT }),
-            (true, [brick, ..]) => Ok(Start { view: self.view(0)?, frame: brick_frame(brick) }),
-            (true, []) => Ok(Start { view: View { nodes: &[], number: TOP, page: None }, frame: Frame::ROOT }),
+            (false, _) => Ok(Start { view: self.view(TOP)?, cell: ROOT }),
+            (true, [brick, ..]) => Ok(Start { view: self.view(0)?, cell: cell_of(brick) }),
+            (true, []) => Ok(Start { view: View { nodes: &[], number: TOP, page: None }, cell: ROOT }),
         }
     }
 
@@ -161,7 +161,7 @@ impl<'a> File<'a> {
         // The node under way, the frame and the entries of its slots, and those left to visit.
         let (mut top, mut index) = (0, 0);
         let mut node = view.node(index);
-        let mut frame = kernel.frame(&sight.setup.planes(&start.frame), &sight.setup.way);
+        let mut frame = kernel.frame(&start.cell, &sight.setup.aim, &sight.setup.way);
         let (mut left, mut near) = kernel.touch(node, frame, &sight.setup.way, far);
         let mut sheared = false;
         'walk: loop {
@@ -210,7 +210,7 @@ impl<'a> File<'a> {
                 bricks += 1;
                 view = self.view(number)?;
                 index = 0;
-                frame = kernel.frame(&sight.setup.planes(&brick_frame(brick)), &sight.setup.way);
+                frame = kernel.frame(&cell_of(brick), &sight.setup.aim, &sight.setup.way);
             } else {
                 continue;
             }
@@ -361,9 +361,12 @@ impl<'a> View<'a> {
 
 /// A brick's own frame.
 #[inline(always)]
-pub(super) fn brick_frame(brick: &Brick) -> Frame {
-    Frame { corner: brick.corner.map(f64::from), unit: brick.unit.map(f64::from) }
+pub(super) fn cell_of(brick: &Brick) -> Cell {
+    Cell { corner: brick.corner, unit: brick.unit }
 }
+
+/// The root's own frame.
+const ROOT: Cell = Cell { corner: [0.0; 3], unit: [1.0 / 256.0; 3] };
 
 /// A triangle of a leaf.
 struct Reference<'p, 'a> {

@@ -3,9 +3,10 @@
 use std::arch::x86_64::*;
 
 use super::scalar;
-use super::{Job, Kernel, Planes, Saved, Way};
-use crate::exact::{Depths, Lanes, Shear};
-use crate::format::{Coding, Leaf, Node};
+use super::{Aim, Cell, Fit, Job, Kernel, MODERATE, NEAR, Saved, Way};
+use crate::exact::{Depths, Lanes, Shear, U};
+use crate::format::{self, Coding, Leaf, Node};
+use crate::geometry::Ray;
 
 /// Proof that the processor has AVX2, FMA, BMI and LZCNT.
 #[derive(Clone, Copy, Debug)]
@@ -60,7 +61,7 @@ unsafe fn numbers(bytes: *const u8, order: __m128i) -> __m256 {
     unsafe { _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_shuffle_epi8(_mm_loadl_epi64(bytes.cast()), order))) }
 }
 
-/// [`Planes`] in registers.
+/// [`super::Planes`] in registers.
 #[derive(Clone, Copy)]
 pub(super) struct Frame {
     begin: __m128,
@@ -130,14 +131,138 @@ pub(super) unsafe fn within(near: __m256, far: f32) -> u32 {
     unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, _mm256_set1_ps(far))) as u32 }
 }
 
-/// Takes a frame into registers.
+/// Three numbers in a register.
 ///
 /// # Safety
 /// AVX2 must be there.
 #[inline(always)]
-unsafe fn frame(planes: &Planes) -> Frame {
-    // SAFETY: the caller vouches for the instructions; the arrays are four floats, aligned to 16.
-    unsafe { Frame { begin: _mm_load_ps(planes.begin.as_ptr()), dt: _mm_load_ps(planes.dt.as_ptr()) } }
+unsafe fn three([x, y, z]: [f32; 3]) -> __m128 {
+    // SAFETY: as the caller vouches.
+    unsafe { _mm_setr_ps(x, y, z, 0.0) }
+}
+
+/// Aims a plain ray, shared with AVX-512; the same as the portable code does.
+///
+/// # Safety
+/// AVX2 and FMA must be there.
+#[inline(always)]
+pub(super) unsafe fn aim(ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool {
+    // SAFETY: the caller vouches for the instructions; the arrays are four numbers, and the loads stay within the ray's 32 bytes.
+    unsafe {
+        let numbers: *const f32 = std::ptr::from_ref(ray).cast();
+        let (o, d) = (_mm_loadu_ps(numbers), _mm_loadu_ps(numbers.add(3)));
+        let absolute = _mm256_castsi256_pd(_mm256_set1_epi64x(i64::MAX));
+        let scale = _mm256_set1_pd(fit.scale);
+        let p = _mm256_mul_pd(_mm256_sub_pd(_mm256_cvtps_pd(o), _mm256_loadu_pd(fit.corner.as_ptr())), scale);
+        let size = _mm256_and_pd(p, absolute);
+        let near = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(size, _mm256_set1_pd(NEAR)));
+        let sign = _mm_set1_ps(-0.0);
+        let steep = _mm_andnot_ps(sign, d);
+        let least = _mm_cmp_ps::<_CMP_GE_OQ>(steep, _mm_set1_ps(MODERATE[0]));
+        let most = _mm_cmp_ps::<_CMP_LE_OQ>(steep, _mm_set1_ps(MODERATE[1]));
+        let moderate = _mm_movemask_ps(_mm_and_ps(least, most));
+        let inv = _mm_div_ps(_mm_set1_ps(fit.side), d);
+        let away = _mm_add_ps(_mm256_cvtpd_ps(size), _mm_set1_ps(3.01));
+        let slack = _mm_mul_ps(_mm_andnot_ps(sign, inv), _mm_mul_ps(_mm_set1_ps(fit.rounding), away));
+        let unit = _mm_mul_ps(inv, _mm_set1_ps(format::Frame::LEAST_UNIT as f32));
+        _mm256_storeu_pd(aim.origin.as_mut_ptr(), p);
+        _mm_storeu_ps(aim.inv.as_mut_ptr(), inv);
+        _mm_storeu_ps(aim.slack.as_mut_ptr(), slack);
+        _mm_storeu_ps(way.slack.as_mut_ptr(), _mm_add_ps(slack, slack));
+        _mm_storeu_ps(way.least.as_mut_ptr(), unit);
+        // Bits x, y, z from the lowest on; the mask has x highest.
+        const MIRROR: [u8; 8] = [0, 4, 2, 6, 1, 5, 3, 7];
+        way.mask = MIRROR[(_mm_movemask_ps(d) & 7) as usize];
+        (near & moderate & 7 == 7) & (ray.tmin <= ray.tmax) & (fit.side < f32::INFINITY)
+    }
+}
+
+/// The parameters of the root's or a brick's frame, shared with AVX-512: begin and dt.
+///
+/// # Safety
+/// AVX2 and FMA must be there.
+#[inline(always)]
+pub(super) unsafe fn begin(cell: &Cell, aim: &Aim) -> [__m128; 2] {
+    // SAFETY: the caller vouches for the instructions; the arrays are four numbers.
+    unsafe {
+        let corner = _mm256_sub_pd(_mm256_cvtps_pd(three(cell.corner)), _mm256_loadu_pd(aim.origin.as_ptr()));
+        let (inv, slack) = (_mm_loadu_ps(aim.inv.as_ptr()), _mm_loadu_ps(aim.slack.as_ptr()));
+        [_mm_fmsub_ps(_mm256_cvtpd_ps(corner), inv, slack), _mm_mul_ps(three(cell.unit), inv)]
+    }
+}
+
+/// [`Line::rounded`](crate::exact::Line::rounded) in four lanes, shared with AVX-512.
+///
+/// # Safety
+/// AVX2 and FMA must be there.
+#[inline(always)]
+pub(super) unsafe fn rounded(leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+    // SAFETY: the caller vouches for the instructions; the arrays are four numbers.
+    unsafe {
+        let [a, b, c] = leaf.corners(lane);
+        let none = _mm256_setzero_pd();
+        let (mut p, mut q, mut r) = ([none; 3], [none; 3], [none; 3]);
+        let mut axis = 0;
+        while axis < 3 {
+            let x = leaf.coordinates(axis);
+            let (Some(&xa), Some(&xb), Some(&xc)) = (x.get(a), x.get(b), x.get(c)) else { return None };
+            let corners = _mm256_cvtps_pd(_mm_setr_ps(xa, xb, xc, xc));
+            let (o, d) = (f64::from(ray.origin[axis]), f64::from(ray.direction[axis]));
+            let o = _mm256_set1_pd(o);
+            let first = _mm256_broadcastsd_pd(_mm256_castpd256_pd128(corners));
+            // Lanes c, a, b, b less o, o, o, a; a, b, c, c less c, a, b, a; d, d, d, a - o.
+            let from = _mm256_blend_pd::<0b1000>(o, first);
+            p[axis] = _mm256_sub_pd(_mm256_permute4x64_pd::<0b01_01_00_10>(corners), from);
+            q[axis] = _mm256_sub_pd(corners, _mm256_permute4x64_pd::<0b00_01_00_10>(corners));
+            r[axis] = _mm256_blend_pd::<0b1000>(_mm256_set1_pd(d), _mm256_sub_pd(first, o));
+            axis += 1;
+        }
+        let sign = _mm256_set1_pd(-0.0);
+        let (mut value, mut permanent) = (none, none);
+        let mut i = 0;
+        while i < 3 {
+            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+            let (plus, less) = (_mm256_mul_pd(p[j], q[k]), _mm256_mul_pd(p[k], q[j]));
+            value = _mm256_fmadd_pd(_mm256_sub_pd(plus, less), r[i], value);
+            let sizes = _mm256_add_pd(_mm256_andnot_pd(sign, plus), _mm256_andnot_pd(sign, less));
+            permanent = _mm256_fmadd_pd(sizes, _mm256_andnot_pd(sign, r[i]), permanent);
+            i += 1;
+        }
+        let error = _mm256_mul_pd(permanent, _mm256_set1_pd(9.0 * U));
+        let of_sum = _mm256_fmadd_pd(_mm256_set1_pd(4.0 * U), _mm256_andnot_pd(sign, value), error);
+        let (den, den_error) = (sum_of_three(value), sum_of_three(of_sum));
+        let inverse = _mm256_div_pd(_mm256_set1_pd(1.0), den);
+        let quotient = _mm256_mul_pd(value, inverse);
+        let size = _mm256_andnot_pd(sign, quotient);
+        let bound = _mm256_mul_pd(_mm256_fmadd_pd(size, den_error, error), _mm256_andnot_pd(sign, inverse));
+        let bound = _mm256_fmadd_pd(bound, _mm256_set1_pd(2.25), _mm256_mul_pd(size, _mm256_set1_pd(4.0 * U)));
+        let low = _mm256_cvtpd_ps(_mm256_sub_pd(quotient, bound));
+        let high = _mm256_cvtpd_ps(_mm256_add_pd(quotient, bound));
+        let same = _mm_movemask_ps(_mm_cmp_ps::<_CMP_EQ_OQ>(low, high));
+        let certain = _mm256_cmp_pd::<_CMP_GT_OQ>(_mm256_andnot_pd(sign, den), _mm256_add_pd(den_error, den_error));
+        if same & 0b1011 != 0b1011 || _mm256_movemask_pd(certain) & 1 == 0 {
+            return None;
+        }
+        // Adding +0 turns -0 into +0.
+        let mut answer = [0.0; 4];
+        _mm_storeu_ps(answer.as_mut_ptr(), _mm_add_ps(low, _mm_setzero_ps()));
+        Some([answer[3], answer[0], answer[1]])
+    }
+}
+
+/// The sum of the lower three lanes, in all four.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+unsafe fn sum_of_three(x: __m256d) -> __m256d {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        let first = _mm256_permute4x64_pd::<0b00_00_00_00>(x);
+        let second = _mm256_permute4x64_pd::<0b01_01_01_01>(x);
+        let third = _mm256_permute4x64_pd::<0b10_10_10_10>(x);
+        _mm256_add_pd(_mm256_add_pd(first, second), third)
+    }
 }
 
 /// Puts a node aside.
@@ -203,9 +328,16 @@ impl Kernel for Avx2 {
     type Near = __m256;
 
     #[inline(always)]
-    fn frame(self, planes: &Planes, _: &Way) -> Frame {
+    fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, to: &mut Aim) -> bool {
         // SAFETY: `self` is proof.
-        unsafe { frame(planes) }
+        unsafe { aim(ray, fit, way, to) }
+    }
+
+    #[inline(always)]
+    fn frame(self, cell: &Cell, aim: &Aim, _: &Way) -> Frame {
+        // SAFETY: `self` is proof.
+        let [begin, dt] = unsafe { begin(cell, aim) };
+        Frame { begin, dt }
     }
 
     #[inline(always)]
@@ -256,6 +388,12 @@ impl Kernel for Avx2 {
                 doubt: (first.doubt | second.doubt << 8) & bits,
             }
         }
+    }
+
+    #[inline(always)]
+    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+        // SAFETY: `self` is proof.
+        unsafe { rounded(leaf, lane, ray) }
     }
 }
 
@@ -348,11 +486,13 @@ impl Table {
             let sum = _mm256_add_ps(_mm256_add_ps(u, v), w);
             let weighted =
                 _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(u, a[2]), _mm256_mul_ps(v, b[2])), _mm256_mul_ps(w, c[2]));
-            let t = _mm256_mul_ps(_mm256_div_ps(weighted, sum), _mm256_set1_ps(shear.inverse()));
+            let share = _mm256_div_ps(_mm256_set1_ps(1.0), sum);
+            let t = _mm256_mul_ps(_mm256_mul_ps(weighted, share), _mm256_set1_ps(shear.inverse()));
             let most = _mm256_max_ps(_mm256_max_ps(a[2], b[2]), c[2]);
             let least = _mm256_min_ps(_mm256_min_ps(a[2], b[2]), c[2]);
             let [of_shape, of_depth, constant] = shear.depth_bound();
-            let shape = _mm256_div_ps(_mm256_mul_ps(bound, _mm256_sub_ps(most, least)), _mm256_andnot_ps(sign, sum));
+            let range_of_z = _mm256_mul_ps(bound, _mm256_sub_ps(most, least));
+            let shape = _mm256_mul_ps(range_of_z, _mm256_andnot_ps(sign, share));
             let shape = _mm256_mul_ps(shape, _mm256_set1_ps(of_shape));
             let deepest = _mm256_max_ps(_mm256_andnot_ps(sign, most), _mm256_andnot_ps(sign, least));
             let depth = _mm256_mul_ps(deepest, _mm256_set1_ps(of_depth));

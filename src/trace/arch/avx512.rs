@@ -2,9 +2,10 @@
 
 use std::arch::x86_64::*;
 
-use super::{Job, Kernel, Planes, Saved, Way, avx2, scalar};
+use super::{Aim, Cell, Fit, Job, Kernel, Saved, Way, avx2, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
+use crate::geometry::Ray;
 
 /// Proof that the processor has AVX-512 (F, BW, DQ, VL, CD, VBMI: Ice Lake, Zen 4 and later) and what [`avx2::Avx2`] stands for.
 #[derive(Clone, Copy, Debug)]
@@ -63,7 +64,7 @@ struct Index([u8; 64]);
 /// The first byte of each lane.
 const FIRST: u64 = 0x1111_1111_1111_1111;
 
-/// [`Planes`] in one register: begin, dt, -end, -dt; so that one axis' sixteen parameters, those of leaving negated, are one
+/// [`super::Planes`] in one register: begin, dt, -end, -dt; so that one axis' sixteen parameters, those of leaving negated, are one
 /// multiplication and addition.
 type Frame = __m512;
 
@@ -92,13 +93,18 @@ impl Kernel for Avx512 {
     type Near = __m256;
 
     #[inline(always)]
-    fn frame(self, planes: &Planes, way: &Way) -> Frame {
-        // SAFETY: `self` is proof; the arrays are four floats.
+    fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool {
+        // SAFETY: `self` is proof.
+        unsafe { avx2::aim(ray, fit, way, aim) }
+    }
+
+    #[inline(always)]
+    fn frame(self, cell: &Cell, aim: &Aim, way: &Way) -> Frame {
+        // SAFETY: `self` is proof; the array is four floats.
         unsafe {
-            let (begin, dt) = (_mm_loadu_ps(planes.begin.as_ptr()), _mm_loadu_ps(planes.dt.as_ptr()));
-            let (end, sign) = (_mm_add_ps(begin, _mm_loadu_ps(way.slack.as_ptr())), _mm_set1_ps(-0.0));
-            let enter = _mm256_set_m128(dt, begin);
-            let leave = _mm256_set_m128(_mm_xor_ps(dt, sign), _mm_xor_ps(end, sign));
+            let [begin, dt] = avx2::begin(cell, aim);
+            let (end, sign) = (_mm_add_ps(begin, _mm_loadu_ps(way.slack.as_ptr())), _mm256_set1_ps(-0.0));
+            let (enter, leave) = (_mm256_set_m128(dt, begin), _mm256_xor_ps(_mm256_set_m128(dt, end), sign));
             _mm512_insertf32x8::<1>(_mm512_castps256_ps512(enter), leave)
         }
     }
@@ -156,11 +162,9 @@ impl Kernel for Avx512 {
             let zeros = _mm512_slli_epi32::<23>(_mm512_lzcnt_epi32(_mm512_sub_epi32(high, low)));
             let step = _mm512_add_epi32(_mm512_castps_si512(frame), _mm512_set1_epi32(24 << 23));
             // The larger magnitude: signs agree.
-            let least = _mm256_loadu_ps(way.least.as_ptr());
-            let least = _mm512_castps_si512(_mm512_shuffle_f32x4::<0b01_01_00_00>(
-                _mm512_castps256_ps512(least),
-                _mm512_castps256_ps512(least),
-            ));
+            let least = _mm512_broadcast_f32x4(_mm_loadu_ps(way.least.as_ptr()));
+            let sign = _mm512_set1_ps(-0.0);
+            let least = _mm512_castps_si512(_mm512_mask_xor_ps(least, 0xff00, least, sign));
             let step = _mm512_castsi512_ps(_mm512_max_epu32(_mm512_sub_epi32(step, zeros), least));
             // dt beside begin, -dt beside -end.
             let dt = _mm512_shuffle_f32x4::<0b11_11_01_01>(frame, frame);
@@ -183,6 +187,12 @@ impl Kernel for Avx512 {
                 Coding::Bytes => bytes(leaf, shear, range, depths),
             }
         }
+    }
+
+    #[inline(always)]
+    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+        // SAFETY: `self` is proof.
+        unsafe { avx2::rounded(leaf, lane, ray) }
     }
 }
 
@@ -326,11 +336,12 @@ unsafe fn classify<const WIDE: bool>(
         let (za, zb, zc) = (pick::<WIDE>(z, z1, ia), pick::<WIDE>(z, z1, ib), pick::<WIDE>(z, z1, ic));
         let sum = _mm512_add_ps(_mm512_add_ps(u, v), w);
         let weighted = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(u, za), _mm512_mul_ps(v, zb)), _mm512_mul_ps(w, zc));
-        let t = _mm512_mul_ps(_mm512_div_ps(weighted, sum), _mm512_set1_ps(shear.inverse()));
+        let share = _mm512_div_ps(_mm512_set1_ps(1.0), sum);
+        let t = _mm512_mul_ps(_mm512_mul_ps(weighted, share), _mm512_set1_ps(shear.inverse()));
         let most = _mm512_max_ps(_mm512_max_ps(za, zb), zc);
         let least = _mm512_min_ps(_mm512_min_ps(za, zb), zc);
         let [of_shape, of_depth, constant] = shear.depth_bound();
-        let shape = _mm512_div_ps(_mm512_mul_ps(bound, _mm512_sub_ps(most, least)), _mm512_abs_ps(sum));
+        let shape = _mm512_mul_ps(_mm512_mul_ps(bound, _mm512_sub_ps(most, least)), _mm512_abs_ps(share));
         let shape = _mm512_mul_ps(shape, _mm512_set1_ps(of_shape));
         let deepest = _mm512_max_ps(_mm512_abs_ps(most), _mm512_abs_ps(least));
         let depth = _mm512_mul_ps(deepest, _mm512_set1_ps(of_depth));

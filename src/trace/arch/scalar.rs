@@ -1,8 +1,9 @@
 //! The portable inner loops.
 
-use super::{Kernel, Planes, Saved, Way};
-use crate::exact::{Depths, LANES, Lanes, Shear};
+use super::{Aim, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Saved, Way};
+use crate::exact::{Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Coding, Frame, Leaf, Node};
+use crate::geometry::Ray;
 
 /// Portable code over fixed arrays.
 #[derive(Clone, Copy, Debug)]
@@ -13,8 +14,33 @@ impl Kernel for Scalar {
     type Near = [f32; 8];
 
     #[inline(always)]
-    fn frame(self, planes: &Planes, _: &Way) -> Planes {
-        *planes
+    fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool {
+        let mut plain = (ray.tmin <= ray.tmax) & fit.side.is_finite();
+        let mut mask = 0;
+        for i in 0..3 {
+            // Scaling by a power of two is exact.
+            let (p, d) = ((f64::from(ray.origin[i]) - fit.corner[i]) * fit.scale, ray.direction[i]);
+            plain &= (p.abs() <= NEAR) & (d.abs() >= MODERATE[0]) & (d.abs() <= MODERATE[1]);
+            let inv = fit.side / d;
+            let slack = inv.abs() * (fit.rounding * (p.abs() as f32 + 3.01));
+            (aim.origin[i], aim.inv[i], aim.slack[i]) = (p, inv, slack);
+            way.slack[i] = 2.0 * slack;
+            way.least[i] = inv * Frame::LEAST_UNIT as f32;
+            mask = mask << 1 | u8::from(d < 0.0);
+        }
+        way.mask = mask;
+        plain
+    }
+
+    #[inline(always)]
+    fn frame(self, cell: &Cell, aim: &Aim, _: &Way) -> Planes {
+        let mut planes = Planes { begin: [0.0; 4], dt: [0.0; 4] };
+        for i in 0..3 {
+            let corner = (f64::from(cell.corner[i]) - aim.origin[i]) as f32;
+            planes.begin[i] = corner * aim.inv[i] - aim.slack[i];
+            planes.dt[i] = cell.unit[i] * aim.inv[i];
+        }
+        planes
     }
 
     #[inline(always)]
@@ -77,6 +103,11 @@ impl Kernel for Scalar {
     #[inline(always)]
     fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
         classify(leaf, shear, range, depths)
+    }
+
+    #[inline(always)]
+    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+        Line::new(ray).rounded(&leaf.triangle(lane))
     }
 }
 
