@@ -24,9 +24,9 @@
 //! their range and D the computed sum of U_i, the quotient of the computed sums is off by
 //! - b (sum of |z_i - z|) / |D| <= 2 b R / |D|: the U_i, z being a weighted mean of the z_i and so within their range;
 //! - eps Z: the translation of each z_i;
-//! - 7.1 eps Z: products, sums, 1 / D and the product with it (no cancellation in the U_i, and |U_i z_i| <= |U_i| Z);
+//! - 7.1 eps Z: D, 1 / D, the weights U_i / D, their products with z_i, and the sum (no cancellation in the U_i);
 //! - 2 eps Z: 1 / dz and the product with it; eps Z: adding and taking off the bound itself;
-//! - underflow of the products U_i z_i: 3 * 2^-149 / |D|, and |D| > 3 * 2.01 E^2 > 2^-41 M^2 >= 2^-101, so below 2^-46.
+//! - underflow of the weights U_i / D and of their products with z_i, and of b / |D|: far below 2^-100 (Z + R + 1).
 //!
 //! So h = |1 / dz| (2.2 b R / |D| + 12 eps Z + 2^-44) + 2^-126 bounds |t - computed t|, its own roundings and those of R and D included.
 //!
@@ -193,10 +193,10 @@ impl Shear {
             if hit {
                 let sum = (u + v) + w;
                 let share = 1.0 / sum;
-                let t = ((u * az + v * bz) + w * cz) * share * self.inverse;
+                let t = ((u * share * az + v * share * bz) + w * share * cz) * self.inverse;
                 let (most, least) = (greater(greater(az, bz), cz), lesser(lesser(az, bz), cz));
                 let [of_shape, of_depth, constant] = self.depth;
-                let shape = bound * (most - least) * share.abs() * of_shape;
+                let shape = bound * share.abs() * (most - least) * of_shape;
                 let h = (shape + greater(most.abs(), least.abs()) * of_depth) + constant;
                 (depths.lo[j], depths.hi[j]) = (t - h, t + h);
                 // NaN compares false: kept.
