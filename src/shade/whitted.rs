@@ -55,14 +55,27 @@ impl Scratch {
     }
 }
 
+/// A ray that is to be followed.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Ahead {
+    pub ray: WorldRay,
+    /// What the ray is known to meet at once, and the segment that met it from behind.
+    blocker: Option<(Contact, WorldRay)>,
+}
+
+impl Ahead {
+    /// A ray that may meet anything.
+    pub fn free(ray: WorldRay) -> Ahead {
+        Ahead { ray, blocker: None }
+    }
+}
+
 /// A ray that is still to be followed, and what its colour counts.
 #[derive(Debug)]
 struct Pending {
-    ray: WorldRay,
+    ahead: Ahead,
     weight: Color,
     bounces: u32,
-    /// What the ray is known to meet at once, and the segment that met it from behind.
-    blocker: Option<(Contact, WorldRay)>,
 }
 
 impl World {
@@ -70,10 +83,10 @@ impl World {
     pub fn color(&self, ray: WorldRay, scratch: &mut Scratch) -> Result<Color> {
         scratch.rays.primary += 1;
         scratch.stack.clear();
-        scratch.stack.push(Pending { ray, weight: Color::ONE, bounces: 0, blocker: None });
+        scratch.stack.push(Pending { ahead: Ahead::free(ray), weight: Color::ONE, bounces: 0 });
         let mut sum = Color::ZERO;
         while let Some(pending) = scratch.stack.pop() {
-            sum += match self.meet(&pending)? {
+            sum += match self.meet(&pending.ahead)? {
                 None => pending.weight * self.scene.background,
                 Some((spot, incoming)) => self.shade(&spot, incoming, &pending, scratch)?,
             };
@@ -82,16 +95,16 @@ impl World {
     }
 
     /// The place that a ray meets, and the unit direction in which it comes.
-    fn meet(&self, pending: &Pending) -> Result<Option<(Spot, DVec3)>> {
+    pub(super) fn meet(&self, ahead: &Ahead) -> Result<Option<(Spot, DVec3)>> {
         let along = |ray: &WorldRay| ray.direction.normalize_or_zero();
-        let Some((contact, segment)) = &pending.blocker else {
-            let contact = self.closest(&pending.ray, Omit::NOTHING)?;
-            let spot = contact.map(|c| self.spot(&c, &pending.ray)).transpose()?;
-            return Ok(spot.map(|spot| (spot, along(&pending.ray))));
+        let Some((contact, segment)) = &ahead.blocker else {
+            let contact = self.closest(&ahead.ray, Omit::NOTHING)?;
+            let spot = contact.map(|c| self.spot(&c, &ahead.ray)).transpose()?;
+            return Ok(spot.map(|spot| (spot, along(&ahead.ray))));
         };
         // The segment came from the far side of the blocker.
         let spot = self.spot(contact, segment)?.turned();
-        let incoming = along(&pending.ray);
+        let incoming = along(&ahead.ray);
         Ok(Some((spot, if incoming.dot(spot.normal) < 0.0 { incoming } else { -along(segment) })))
     }
 
@@ -188,16 +201,11 @@ impl World {
         if pending.bounces >= scratch.depth || total.abs().max_element() < LEAST_WEIGHT {
             return Ok(weight * self.scene.background);
         }
-        let (ray, blocker) = match self.departure(spot, near, incoming, departure)? {
-            Departure::Free(origin) => (WorldRay::from(origin, direction, f32::INFINITY), None),
-            Departure::Blocked(contact, segment) => {
-                let origin = Origin { world: segment.origin, start: segment.start };
-                (WorldRay::from(&origin, direction, f32::INFINITY), Some((*contact, *segment)))
-            }
-            Departure::Nowhere => return Ok(weight * self.scene.background),
+        let Some(ahead) = self.departure(spot, near, incoming, departure)?.along(direction) else {
+            return Ok(weight * self.scene.background);
         };
         *(if near { &mut scratch.rays.mirror } else { &mut scratch.rays.refracted }) += 1;
-        scratch.stack.push(Pending { ray, weight: total, bounces: pending.bounces + 1, blocker });
+        scratch.stack.push(Pending { ahead, weight: total, bounces: pending.bounces + 1 });
         Ok(Color::ZERO)
     }
 
@@ -217,8 +225,23 @@ impl World {
     }
 }
 
+impl Departure {
+    /// The ray in this direction; `None` where no point lies there to start from.
+    pub(super) fn along(&self, direction: DVec3) -> Option<Ahead> {
+        match self {
+            Departure::Free(origin) => Some(Ahead::free(WorldRay::from(origin, direction, f32::INFINITY))),
+            Departure::Blocked(contact, segment) => {
+                let origin = Origin { world: segment.origin, start: segment.start };
+                let ray = WorldRay::from(&origin, direction, f32::INFINITY);
+                Some(Ahead { ray, blocker: Some((*contact, *segment)) })
+            }
+            Departure::Nowhere => None,
+        }
+    }
+}
+
 /// The mirrored direction; about the geometric normal where the shading normal would send it below the surface.
-fn mirror(spot: &Spot, incoming: DVec3) -> DVec3 {
+pub(super) fn mirror(spot: &Spot, incoming: DVec3) -> DVec3 {
     let about = |n: DVec3| incoming - 2.0 * incoming.dot(n) * n;
     let direction = about(spot.shading);
     if direction.dot(spot.normal) > 0.0 { direction } else { about(spot.normal) }

@@ -45,12 +45,14 @@ pub(super) struct Scene {
     scale: f64,
     /// eps (L + 4).
     rounding: f64,
+    /// What turns the direction mask into the order of visits: 0 for near to far, 7 for far to near.
+    pub turn: u8,
 }
 
 impl Scene {
     /// `depth` is the file's.
     pub fn new(root: RootCube, bounds: Aabb, depth: u32) -> Scene {
-        Scene { bounds, root, scale: exp2(-root.log2_side), rounding: (f64::from(depth) + 4.0) / 16_777_216.0 }
+        Scene { bounds, root, scale: exp2(-root.log2_side), rounding: (f64::from(depth) + 4.0) / 16_777_216.0, turn: 0 }
     }
 }
 
@@ -249,6 +251,7 @@ impl Setup {
         let tau0 = lesser(greater(0.0, enter), exit);
         let way = &mut self.way;
         way.mask = u8::from(inv[0] < 0.0) << 2 | u8::from(inv[1] < 0.0) << 1 | u8::from(inv[2] < 0.0);
+        way.order = way.mask ^ scene.turn;
         way.near = ((enter - tau0) as f32).next_down();
         self.far = ((exit - tau0) as f32).next_up();
         (self.scale, self.tau0, self.pad) = (scale, start.tau + tau0, PAD * (distance + 2.0));

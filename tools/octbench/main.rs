@@ -8,6 +8,7 @@ mod bench;
 #[path = "../cli/mod.rs"]
 mod cli;
 mod families;
+mod mirrors;
 mod oracle;
 mod planet;
 mod random;
@@ -45,6 +46,7 @@ Examples:
   octbench accuracy --rays 1e6 --stats accuracy.json
   octbench accuracy --model bunny.obj --rays 1e6
   octbench closed --rays 1e7
+  octbench mirrors --paths 1e6 --bounces 1000
   octbench tradeoff --model bunny.obj -o tradeoff
   octbench mesh -n 1e6 -o planet.obj
 ";
@@ -57,6 +59,8 @@ enum Command {
     Replay(Replay),
     /// Count crossings of a closed mesh, which must be even, and escapes from inside
     Closed(Closed),
+    /// Follow paths through closed boxes of mirrors, which none may leave
+    Mirrors(mirrors::Options),
     /// Speed against error: this tracer and naive ones, on the same rays
     Tradeoff(tradeoff::Options),
     /// Write a closed planet as OBJ
@@ -146,6 +150,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Command::Accuracy(options) => run_accuracy(options, session),
         Command::Replay(options) => run_replay(options, session),
         Command::Closed(options) => run_closed(options, session),
+        Command::Mirrors(options) => mirrors::run(options, session).map(verdict),
         Command::Tradeoff(options) => tradeoff::run(options, session).map(|()| ExitCode::SUCCESS),
         Command::Mesh(options) => write_mesh(options, session).map(|()| ExitCode::SUCCESS),
     }

@@ -33,7 +33,7 @@ pub(super) unsafe fn run<J: Job>(job: J) -> J::Output {
     job.run(Avx2(()))
 }
 
-/// For each direction mask m the shuffle that puts eight bytes in the order of visits: byte i is slot i XOR m. The second half does
+/// For each order m the shuffle that puts eight bytes in the order of visits: byte i is slot i XOR m. The second half does
 /// the same for bytes 8 to 15.
 const ORDER: [[u8; 16]; 8] = {
     let mut order = [[0u8; 16]; 8];
@@ -69,7 +69,7 @@ pub(super) unsafe fn touch(node: &Node, planes: &Planes, way: &Way, far: f32) ->
     // SAFETY: the caller vouches for the instructions. Loads stay within the node: 8 bytes at 0..48.
     unsafe {
         let mask = usize::from(way.mask & 7);
-        let order = _mm_loadl_epi64(ORDER[mask].as_ptr().cast());
+        let order = _mm_loadl_epi64(ORDER[usize::from(way.order & 7)].as_ptr().cast());
         let base: *const u8 = std::ptr::from_ref(node).cast();
         let down = [24 * (mask >> 2 & 1), 24 * (mask >> 1 & 1), 24 * (mask & 1)];
         // Low planes at 8 * axis, high ones 24 further on; a downward ray enters by the high plane.

@@ -38,11 +38,13 @@ pub(super) struct Way {
     pub least: [f32; 4],
     /// The direction mask a: bit 2 - i set where axis i is traversed downwards.
     pub mask: u8,
+    /// Slots are visited as i XOR this: a for near to far, its complement for far to near.
+    pub order: u8,
     /// The parameter at which the ray enters the root.
     pub near: f32,
 }
 
-/// The slots of a node that the ray touches, in the order of visits: entry i stands for slot i XOR a.
+/// The slots of a node that the ray touches, in the order of visits: entry i stands for slot i XOR `order` of the [`Way`].
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(32))]
 pub(super) struct Touched {

@@ -31,7 +31,8 @@ proptest! {
         boxes in any::<[[u8; 8]; 6]>(),
         corner in any::<[u8; 3]>(),
         dt in proptest::array::uniform3(-0.1f32..0.1),
-        slack in 0f32..1e-4
+        slack in 0f32..1e-4,
+        backward: bool
     ) {
         let mut node = Node::EMPTY;
         for axis in 0..3 {
@@ -43,7 +44,8 @@ proptest! {
         let t0: [f32; 3] = std::array::from_fn(|i| f32::from(corner[i]) * -dt[i]);
         let at = planes([t0.map(|t| t - slack), t0.map(|t| t + slack), dt]);
         let mask = (0..3).fold(0, |m, i| m << 1 | u8::from(dt[i] < 0.0));
-        let way = Way { least: planes([dt.map(|x| x * 1e-6), dt, dt]).begin, mask, near: -1.0 };
+        let order = if backward { mask ^ 7 } else { mask };
+        let way = Way { least: planes([dt.map(|x| x * 1e-6), dt, dt]).begin, mask, order, near: -1.0 };
         let (expected, frames, _) = Isa::SCALAR.run(Steps(&node, &at, &way, None));
         for isa in Isa::available() {
             let (touched, children, _) = isa.run(Steps(&node, &at, &way, None));
@@ -93,7 +95,7 @@ proptest! {
         prop_assume!(direction != [0.0; 3]);
         let bounds = Aabb { min: Vec3::NEG_ONE, max: Vec3::ONE };
         let shear = Shear::new(&Ray::new(origin, direction), bounds);
-        let (at, way) = (planes([[0.0; 3]; 3]), Way { least: [0.0; 4], mask: 0, near: 0.0 });
+        let (at, way) = (planes([[0.0; 3]; 3]), Way { least: [0.0; 4], mask: 0, order: 0, near: 0.0 });
         let expected = Isa::SCALAR.run(Steps(&Node::EMPTY, &at, &way, Some((leaf, &shear)))).2;
         for isa in Isa::available() {
             prop_assert_eq!(isa.run(Steps(&Node::EMPTY, &at, &way, Some((leaf, &shear)))).2, expected, "{:?}", isa);
