@@ -26,9 +26,9 @@ impl MirrorPath<'_> {
     /// Traces the ray under way and returns the mirrored one, which is then under way. `None` if the ray meets nothing, or if no
     /// f32 point lies beside the mirror: the path ends there, and asking again gives the same answer.
     pub fn bounce(&mut self) -> Result<Option<WorldRay>> {
-        let Some((spot, incoming)) = self.world.meet(&self.ahead)? else { return Ok(None) };
-        let departure = self.world.leave(&spot, true, -incoming)?;
-        let Some(ahead) = departure.along(mirror(&spot, incoming)) else { return Ok(None) };
+        let Some(meeting) = self.world.meet(&self.ahead)? else { return Ok(None) };
+        let departure = self.world.leave(&meeting.spot, true, meeting.path(true))?;
+        let Some(ahead) = departure.along(mirror(&meeting.spot, meeting.incoming)) else { return Ok(None) };
         self.ahead = ahead;
         Ok(Some(ahead.ray))
     }

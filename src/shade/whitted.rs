@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 
-use super::leave::Departure;
+use super::leave::{Departure, Path};
 use super::object::Contact;
 use super::ray::{Omit, Origin, WorldRay};
 use super::spot::Spot;
@@ -63,6 +63,26 @@ pub(super) struct Ahead {
     blocker: Option<(Contact, WorldRay)>,
 }
 
+/// Where a ray met a surface, and how.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Meeting {
+    pub spot: Spot,
+    /// The unit direction in which the ray came.
+    pub incoming: DVec3,
+    /// How far back its way is known to be free.
+    reach: f64,
+}
+
+impl Meeting {
+    /// The free space on the side from which the ray came (`near`), or behind the surface.
+    pub fn path(&self, near: bool) -> Path {
+        match near {
+            true => Path { direction: -self.incoming, reach: self.reach },
+            false => Path { direction: self.incoming, reach: f64::INFINITY },
+        }
+    }
+}
+
 impl Ahead {
     /// A ray that may meet anything.
     pub fn free(ray: WorldRay) -> Ahead {
@@ -88,59 +108,58 @@ impl World {
         while let Some(pending) = scratch.stack.pop() {
             sum += match self.meet(&pending.ahead)? {
                 None => pending.weight * self.scene.background,
-                Some((spot, incoming)) => self.shade(&spot, incoming, &pending, scratch)?,
+                Some(meeting) => self.shade(&meeting, &pending, scratch)?,
             };
         }
         Ok(sum)
     }
 
-    /// The place that a ray meets, and the unit direction in which it comes.
-    pub(super) fn meet(&self, ahead: &Ahead) -> Result<Option<(Spot, DVec3)>> {
+    /// What a ray meets.
+    pub(super) fn meet(&self, ahead: &Ahead) -> Result<Option<Meeting>> {
         let along = |ray: &WorldRay| ray.direction.normalize_or_zero();
         let Some((contact, segment)) = &ahead.blocker else {
-            let contact = self.closest(&ahead.ray, Omit::NOTHING)?;
-            let spot = contact.map(|c| self.spot(&c, &ahead.ray)).transpose()?;
-            return Ok(spot.map(|spot| (spot, along(&ahead.ray))));
+            let Some(contact) = self.closest(&ahead.ray, Omit::NOTHING)? else { return Ok(None) };
+            let spot = self.spot(&contact, &ahead.ray)?;
+            let reach = (spot.point - ahead.ray.origin).length();
+            return Ok(Some(Meeting { spot, incoming: along(&ahead.ray), reach }));
         };
-        // The segment came from the far side of the blocker.
+        // The segment came from the far side of the blocker, so that its rest lies on this side.
         let spot = self.spot(contact, segment)?.turned();
         let incoming = along(&ahead.ray);
-        Ok(Some((spot, if incoming.dot(spot.normal) < 0.0 { incoming } else { -along(segment) })))
+        let incoming = if incoming.dot(spot.normal) < 0.0 { incoming } else { -along(segment) };
+        let reach = f64::from(segment.tmax - contact.t).max(0.0) * segment.direction.length();
+        Ok(Some(Meeting { spot, incoming, reach }))
     }
 
     /// The light that leaves `spot` against `incoming`, weighted, but for the rays that it puts on the stack.
-    fn shade(&self, spot: &Spot, incoming: DVec3, pending: &Pending, scratch: &mut Scratch) -> Result<Color> {
+    fn shade(&self, meeting: &Meeting, pending: &Pending, scratch: &mut Scratch) -> Result<Color> {
+        let &Meeting { ref spot, incoming, .. } = meeting;
         let surface = &spot.surface;
         let mut near = None;
         let mut color = Color::ZERO;
         if surface.local != 0.0 {
-            color += self.local(spot, incoming, &mut near, scratch)? * surface.local;
+            color += self.local(meeting, &mut near, scratch)? * surface.local;
         }
         let refracted = if surface.transmit == 0.0 { None } else { refract(spot, incoming) };
         let mut mirrored = surface.reflect;
         match refracted {
             Some(direction) => {
                 let weight = Color::splat(surface.transmit);
-                color += self.secondary(spot, direction, weight, false, incoming, &mut None, pending, scratch)?;
+                color += self.secondary(meeting, direction, weight, false, &mut None, pending, scratch)?;
             }
             // Total reflection: the transmitted part is mirrored too.
             None => mirrored += Color::splat(surface.transmit),
         }
         if mirrored != Color::ZERO {
             let direction = mirror(spot, incoming);
-            color += self.secondary(spot, direction, mirrored, true, incoming, &mut near, pending, scratch)?;
+            color += self.secondary(meeting, direction, mirrored, true, &mut near, pending, scratch)?;
         }
         Ok(pending.weight * color)
     }
 
     /// Ambient, diffuse and specular light.
-    fn local(
-        &self,
-        spot: &Spot,
-        incoming: DVec3,
-        near: &mut Option<Departure>,
-        scratch: &mut Scratch,
-    ) -> Result<Color> {
+    fn local(&self, meeting: &Meeting, near: &mut Option<Departure>, scratch: &mut Scratch) -> Result<Color> {
+        let &Meeting { ref spot, incoming, .. } = meeting;
         let surface = &spot.surface;
         let mut color = self.scene.ambient * surface.ambient;
         for light in &self.scene.lights {
@@ -159,7 +178,7 @@ impl World {
                 lit += spot.shading.dot(h).max(0.0).powf(surface.shininess) * surface.specular;
             }
             let lit = lit * intensity;
-            if lit != Color::ZERO && self.reaches(spot, incoming, light, near, scratch)? {
+            if lit != Color::ZERO && self.reaches(meeting, light, near, scratch)? {
                 color += lit;
             }
         }
@@ -169,13 +188,12 @@ impl World {
     /// Whether nothing stands between the spot and the light.
     fn reaches(
         &self,
-        spot: &Spot,
-        incoming: DVec3,
+        meeting: &Meeting,
         light: &Light,
         near: &mut Option<Departure>,
         scratch: &mut Scratch,
     ) -> Result<bool> {
-        let Departure::Free(origin) = self.departure(spot, true, incoming, near)? else { return Ok(false) };
+        let Departure::Free(origin) = self.departure(meeting, true, near)? else { return Ok(false) };
         let ray = match *light {
             Light::Point { position, .. } => WorldRay::from(origin, position - origin.world, BEFORE_LIGHT),
             Light::Sun { direction, .. } => WorldRay::from(origin, -direction, f32::INFINITY),
@@ -188,11 +206,10 @@ impl World {
     #[allow(clippy::too_many_arguments)]
     fn secondary(
         &self,
-        spot: &Spot,
+        meeting: &Meeting,
         direction: DVec3,
         weight: Color,
         near: bool,
-        incoming: DVec3,
         departure: &mut Option<Departure>,
         pending: &Pending,
         scratch: &mut Scratch,
@@ -201,7 +218,7 @@ impl World {
         if pending.bounces >= scratch.depth || total.abs().max_element() < LEAST_WEIGHT {
             return Ok(weight * self.scene.background);
         }
-        let Some(ahead) = self.departure(spot, near, incoming, departure)?.along(direction) else {
+        let Some(ahead) = self.departure(meeting, near, departure)?.along(direction) else {
             return Ok(weight * self.scene.background);
         };
         *(if near { &mut scratch.rays.mirror } else { &mut scratch.rays.refracted }) += 1;
@@ -210,16 +227,9 @@ impl World {
     }
 
     /// The departure from one side of a spot, found once.
-    fn departure<'d>(
-        &self,
-        spot: &Spot,
-        near: bool,
-        incoming: DVec3,
-        known: &'d mut Option<Departure>,
-    ) -> Result<&'d Departure> {
+    fn departure<'d>(&self, meeting: &Meeting, near: bool, known: &'d mut Option<Departure>) -> Result<&'d Departure> {
         if known.is_none() {
-            let path = if near { -incoming } else { incoming };
-            *known = Some(self.leave(spot, near, path)?);
+            *known = Some(self.leave(&meeting.spot, near, meeting.path(near))?);
         }
         Ok(known.as_ref().unwrap_or(&Departure::Nowhere))
     }
