@@ -68,7 +68,7 @@ const BOXES: [MirrorBox; 7] = [
 ];
 
 /// Bounces between two questions to the oracle.
-const CHECK: u64 = 64;
+const CHECK: u64 = 250;
 
 /// Paths a task takes.
 const TASK: u64 = 256;
