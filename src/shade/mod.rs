@@ -40,7 +40,7 @@ mod world;
 
 pub use material::Surface;
 pub use object::Contact;
-pub use path::MirrorPath;
+pub use path::{Bounce, MirrorPath};
 pub use ray::{Omit, WorldRay};
 pub use texture::Texture;
 pub use whitted::{RayCounts, Scratch};

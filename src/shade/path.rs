@@ -15,6 +15,15 @@ pub struct MirrorPath<'w> {
     ahead: Ahead,
 }
 
+/// How a path goes on.
+#[derive(Clone, Copy, Debug)]
+pub enum Bounce {
+    /// With this ray, from its certified origin.
+    Free(WorldRay),
+    /// It is mirrored next by a surface so near that no f32 point lies between.
+    Wedged,
+}
+
 impl World {
     /// The path that begins with `ray`.
     pub fn mirror_path(&self, ray: WorldRay) -> MirrorPath<'_> {
@@ -23,13 +32,13 @@ impl World {
 }
 
 impl MirrorPath<'_> {
-    /// Traces the ray under way and returns the mirrored one, which is then under way. `None` if the ray meets nothing, or if no
-    /// f32 point lies beside the mirror: the path ends there, and asking again gives the same answer.
-    pub fn bounce(&mut self) -> Result<Option<WorldRay>> {
+    /// Traces the ray under way and mirrors it. `None` if the ray meets nothing, or if no f32 point lies beside the mirror: the
+    /// path ends there, and asking again gives the same answer.
+    pub fn bounce(&mut self) -> Result<Option<Bounce>> {
         let Some(meeting) = self.world.meet(&self.ahead)? else { return Ok(None) };
         let departure = self.world.leave(&meeting.spot, true, meeting.path(true))?;
         let Some(ahead) = departure.along(mirror(&meeting.spot, meeting.incoming)) else { return Ok(None) };
         self.ahead = ahead;
-        Ok(Some(ahead.ray))
+        Ok(Some(if ahead.is_free() { Bounce::Free(ahead.ray) } else { Bounce::Wedged }))
     }
 }

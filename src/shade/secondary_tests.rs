@@ -6,6 +6,7 @@ use proptest::prelude::*;
 
 use super::double::cube;
 use super::object::{Contact, Part, strictly_on};
+use super::path::Bounce;
 use super::ray::{Omit, WorldRay};
 use super::tests::{MIRROR, world};
 use super::whitted::Scratch;
@@ -45,7 +46,8 @@ fn follow(world: &World, ray: WorldRay, most: usize, check: impl Fn(Vec3)) -> us
     let mut path = world.mirror_path(ray);
     for done in 0..most {
         match path.bounce().unwrap() {
-            Some(ray) => check(ray.origin().as_vec3()),
+            Some(Bounce::Free(ray)) => check(ray.origin().as_vec3()),
+            Some(Bounce::Wedged) => {}
             None => return done,
         }
     }
@@ -109,7 +111,7 @@ proptest! {
         let met = triangle_of(&contact);
         prop_assume!(strictly_on(&met, ray.origin().as_vec3(), true));
         let mut path = world.mirror_path(ray);
-        let mirrored = path.bounce().unwrap().expect("there is always an origin");
+        let Some(Bounce::Free(mirrored)) = path.bounce().unwrap() else { panic!("no origin: {ray:?}") };
         prop_assert!(strictly_on(&met, mirrored.origin().as_vec3(), true));
         prop_assert!(world.closest(&mirrored, Omit::NOTHING).unwrap().is_none(), "{ray:?} {mirrored:?}");
 

@@ -9,12 +9,13 @@ use super::ray::{Omit, Origin, WorldRay};
 use super::spot::Spot;
 use super::world::World;
 use crate::error::Result;
+use crate::geometry::FaceId;
 use crate::scene::{Color, Light};
 
 /// A ray whose colour counts less than this (2^-20, in every channel) is not traced.
 const LEAST_WEIGHT: f64 = 1.0 / 1_048_576.0;
-/// The greatest f32 below 1: a light does not block its own light.
-const BEFORE_LIGHT: f32 = 1.0 - f32::EPSILON / 2.0;
+/// The end of a shadow ray, where the rounding of its direction hides on which side of the light a surface lies: 1 +- 2^-20.
+const AT_LIGHT: [f32; 2] = [1.0 - 8.0 * f32::EPSILON, 1.0 + 8.0 * f32::EPSILON];
 
 /// Rays by what they are for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -77,8 +78,8 @@ impl Meeting {
     /// The free space on the side from which the ray came (`near`), or behind the surface.
     pub fn path(&self, near: bool) -> Path {
         match near {
-            true => Path { direction: -self.incoming, reach: self.reach },
-            false => Path { direction: self.incoming, reach: f64::INFINITY },
+            true => Path { direction: -self.incoming, reach: Some(self.reach) },
+            false => Path { direction: self.incoming, reach: None },
         }
     }
 }
@@ -87,6 +88,11 @@ impl Ahead {
     /// A ray that may meet anything.
     pub fn free(ray: WorldRay) -> Ahead {
         Ahead { ray, blocker: None }
+    }
+
+    /// Whether it is not known yet what the ray meets.
+    pub fn is_free(&self) -> bool {
+        self.blocker.is_none()
     }
 }
 
@@ -194,12 +200,25 @@ impl World {
         scratch: &mut Scratch,
     ) -> Result<bool> {
         let Departure::Free(origin) = self.departure(meeting, true, near)? else { return Ok(false) };
-        let ray = match *light {
-            Light::Point { position, .. } => WorldRay::from(origin, position - origin.world, BEFORE_LIGHT),
-            Light::Sun { direction, .. } => WorldRay::from(origin, -direction, f32::INFINITY),
-        };
+        // The light lies above the face, so the face itself is not in its way; a ball may be in its own.
+        let omit = if meeting.spot.omit.face == FaceId::NONE { Omit::NOTHING } else { meeting.spot.omit };
         scratch.rays.shadow += 1;
-        Ok(!self.any(&ray, Omit::NOTHING)?)
+        match *light {
+            Light::Sun { direction, .. } => Ok(!self.any(&WorldRay::from(origin, -direction, f32::INFINITY), omit)?),
+            Light::Point { position, .. } => {
+                let ray = WorldRay::from(origin, position - origin.world, AT_LIGHT[0]);
+                if self.any(&ray, omit)? {
+                    return Ok(false);
+                }
+                let end = ray.between(AT_LIGHT[0], AT_LIGHT[1]);
+                Ok(!self.any(&end, omit)? || !self.all(&end, omit)?.iter().any(|c| self.before(c, &ray, position)))
+            }
+        }
+    }
+
+    /// Whether what a shadow ray meets near its end lies before the light; not if the light lies on it.
+    fn before(&self, contact: &Contact, ray: &WorldRay, light: DVec3) -> bool {
+        self.apart(contact, ray, light).unwrap_or(false)
     }
 
     /// Puts a mirrored (`near`) or refracted ray on the stack, or returns what it counts without being traced.
@@ -261,17 +280,20 @@ pub(super) fn mirror(spot: &Spot, incoming: DVec3) -> DVec3 {
 fn refract(spot: &Spot, incoming: DVec3) -> Option<DVec3> {
     let ior = spot.surface.ior;
     let eta = if spot.front { 1.0 / ior } else { ior };
-    let n = if incoming.dot(spot.shading) < 0.0 { spot.shading } else { spot.normal };
-    let cosine = -incoming.dot(n);
-    let square = 1.0 - eta * eta * (1.0 - cosine * cosine);
-    // Also `None` for an index of refraction that is zero or no number.
-    (square >= 0.0 && eta.is_finite()).then(|| eta * incoming + (eta * cosine - square.sqrt()) * n)
+    let about = |n: DVec3| {
+        let cosine = -incoming.dot(n);
+        let square = 1.0 - eta * eta * (1.0 - cosine * cosine);
+        // Also `None` for an index of refraction that is zero or no number.
+        (square >= 0.0 && eta.is_finite()).then(|| eta * incoming + (eta * cosine - square.sqrt()) * n)
+    };
+    // About the geometric normal where the shading normal would send the ray back above the surface.
+    let shaded = if incoming.dot(spot.shading) < 0.0 { about(spot.shading)? } else { DVec3::ZERO };
+    if shaded.dot(spot.normal) < 0.0 { Some(shaded) } else { about(spot.normal) }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::geometry::FaceId;
     use crate::shade::Surface;
     use crate::shade::spot::Anchor;
 
@@ -296,6 +318,13 @@ mod tests {
         // Back out by the same angle.
         let out = refract(&glass(false), inside).unwrap();
         assert!((out - incoming).length() < 1e-12);
+        // A shading normal leaning toward the ray sends it up again: the geometric one decides.
+        let mut leaning = glass(true);
+        leaning.shading = DVec3::new(-1.0, 0.01, 0.0).normalize();
+        let grazing = DVec3::new(1.0, -0.01, 0.0).normalize();
+        assert!(refract(&leaning, grazing).unwrap().dot(DVec3::Y) < 0.0);
+        leaning.shading = DVec3::new(-0.2, 1.0, 0.0).normalize();
+        assert!(refract(&leaning, incoming).unwrap().dot(DVec3::Y) < 0.0);
         // sin = 0.8 > 1/1.5.
         assert_eq!(refract(&glass(false), DVec3::new(0.8, -0.6, 0.0)), None);
     }

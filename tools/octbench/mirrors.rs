@@ -14,7 +14,7 @@ use octrace::Result;
 use octrace::build::BuildOptions;
 use octrace::event::Monitor;
 use octrace::scene::{Instance, Material, MeshFile, Scene};
-use octrace::shade::{Mesh as ShadedMesh, World, WorldRay};
+use octrace::shade::{Bounce, Mesh as ShadedMesh, World, WorldRay};
 use octrace::trace::OctreeTracer;
 use rayon::prelude::*;
 use serde::Serialize;
@@ -94,6 +94,8 @@ struct BoxReport {
     outside: u64,
     /// Origins that lie exactly on the surface.
     on_surface: u64,
+    /// Bounces between surfaces so near each other that no f32 point lies between.
+    wedged: u64,
     /// Origins that the oracle was asked about.
     checked: u64,
     /// Wall clock.
@@ -121,6 +123,7 @@ impl BoxReport {
             lost: self.lost + other.lost,
             outside: self.outside + other.outside,
             on_surface: self.on_surface + other.on_surface,
+            wedged: self.wedged + other.wedged,
             checked: self.checked + other.checked,
             ..self
         }
@@ -128,7 +131,7 @@ impl BoxReport {
 
     fn line(&self) -> String {
         format!(
-            "{:10} {:9} {:11} {:13} {:6} {:8} {:10} {:10} {:8.1} {:8.3}\n",
+            "{:10} {:9} {:11} {:13} {:6} {:8} {:10} {:7} {:10} {:8.1} {:8.3}\n",
             self.name,
             self.triangles,
             self.paths,
@@ -136,6 +139,7 @@ impl BoxReport {
             self.lost,
             self.outside,
             self.on_surface,
+            self.wedged,
             self.checked,
             self.seconds,
             self.rays as f64 / 1e6 / self.seconds.max(1e-9),
@@ -153,8 +157,18 @@ pub fn run(options: &Options, session: &Session<'_>) -> Result<u64> {
     crate::table(
         &options.stats,
         &format!(
-            "{:10} {:>9} {:>11} {:>13} {:>6} {:>8} {:>10} {:>10} {:>8} {:>8}\n",
-            "box", "triangles", "paths", "rays", "lost", "outside", "on surface", "checked", "seconds", "Mrays/s"
+            "{:10} {:>9} {:>11} {:>13} {:>6} {:>8} {:>10} {:>7} {:>10} {:>8} {:>8}\n",
+            "box",
+            "triangles",
+            "paths",
+            "rays",
+            "lost",
+            "outside",
+            "on surface",
+            "wedged",
+            "checked",
+            "seconds",
+            "Mrays/s"
         ),
     )?;
     let mut reports = Vec::new();
@@ -250,9 +264,16 @@ fn follow(
     let mut path = world.mirror_path(ray);
     for bounce in 1..=bounces {
         report.rays += 1;
-        let Some(ray) = path.bounce()? else {
-            report.lost += 1;
-            return Ok(());
+        let ray = match path.bounce()? {
+            Some(Bounce::Free(ray)) => ray,
+            Some(Bounce::Wedged) => {
+                report.wedged += 1;
+                continue;
+            }
+            None => {
+                report.lost += 1;
+                return Ok(());
+            }
         };
         if bounce % CHECK == 0 || bounce == bounces {
             report.checked += 1;
