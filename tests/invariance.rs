@@ -127,12 +127,12 @@ impl Bench {
     /// Small meshes of all kinds, and one of more than 10^4 triangles.
     fn all() -> Vec<Bench> {
         vec![
-            Bench::new("cube on the grid", Mesh::cube(5), 800, 1),
-            Bench::new("bumpy sphere", Mesh::sphere(3, 0.2).placed(1.0, 0.3), 800, 2),
-            Bench::new("soup", Mesh::soup(300, 3), 800, 3),
-            Bench::new("tiny soup", Mesh::soup(100, 4).placed(1e-30, 0.0), 400, 4),
-            Bench::new("far sphere", Mesh::sphere(2, 0.1).placed(1.0, 1e5), 400, 5),
-            Bench::new("large sphere", Mesh::sphere(6, 0.05), 400, 6),
+            Bench::new("cube on the grid", Mesh::cube(5), 400, 1),
+            Bench::new("bumpy sphere", Mesh::sphere(3, 0.2).placed(1.0, 0.3), 400, 2),
+            Bench::new("soup", Mesh::soup(200, 3), 400, 3),
+            Bench::new("tiny soup", Mesh::soup(100, 4).placed(1e-30, 0.0), 200, 4),
+            Bench::new("far sphere", Mesh::sphere(2, 0.1).placed(1.0, 1e5), 200, 5),
+            Bench::new("large sphere", Mesh::sphere(6, 0.05), 200, 6),
         ]
     }
 
@@ -150,14 +150,19 @@ fn files(large: bool) -> Vec<BuildOptions> {
     let mut all = Vec::new();
     for split in SPLITS {
         let base = BuildOptions { split, ..BuildOptions::default() };
-        // A strict octree with small cells splits without end around a vertex.
-        let deepest = if split == SplitMode::Strict { 7 } else { 21 };
+        // A strict octree with small cells or bricks splits without end around a vertex and along an edge.
+        let strict = split == SplitMode::Strict;
+        let deepest = if strict { 5 } else { 21 };
         let leaves = [1, 2, 8, 16].map(|leaf| BuildOptions { leaf, ..base.clone() });
         let cells = [1, 2, 8, 64, ALL].map(|cell| BuildOptions { cell, depth: deepest, ..base.clone() });
         let depths = [0, 1, 2, 3, 6, 12, 21].map(|depth| BuildOptions { depth, ..base.clone() });
-        let tiny = if large { 500 } else { 1 };
+        let tiny = match (large, strict) {
+            (true, _) => 500,
+            (false, true) => 64,
+            (false, false) => 1,
+        };
         let bricks = [tiny, 7, 64, 1000].map(|n| BuildOptions { brick: Some(n.max(tiny)), ..base.clone() });
-        let mixed = [(1, 1, 5, 3), (3, ALL, 0, 50), (2, 4, 4, 200)];
+        let mixed = [(1, 1, 4, 3), (3, ALL, 0, 50), (2, 4, 4, 200)];
         let mixed = mixed.map(|(leaf, cell, depth, brick): (u8, u32, u8, u32)| BuildOptions {
             leaf,
             cell,
@@ -315,5 +320,79 @@ fn in_whatever_order_the_corners_of_a_face_stand() {
             assert!(lists.iter().all(|l| l.len() == lists[0].len()), "{}", bench.name);
             (0..lists[0].len()).for_each(|i| same(k * LISTED, lists.map(|l| l[i])));
         }
+    }
+}
+
+/// Rays that hit nothing, by definition.
+fn bad_rays() -> Vec<Ray> {
+    let good = Ray::new([0.25, 0.125, 5.0], [0.0, 0.0, -1.0]);
+    let mut bad = vec![
+        good.between(2.0, 1.0),
+        good.between(f32::INFINITY, f32::NEG_INFINITY),
+        good.between(f32::NAN, 1.0),
+        good.between(0.0, f32::NAN),
+        Ray { direction: [0.0; 3], ..good },
+        Ray { direction: [0.0, -0.0, 0.0], ..good.between(f32::NEG_INFINITY, f32::INFINITY) },
+    ];
+    for (i, x) in
+        [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY].into_iter().flat_map(|x| [0, 1, 2].map(|i| (i, x)))
+    {
+        let (mut origin, mut direction) = (good, good);
+        origin.origin[i] = x;
+        direction.direction[i] = x;
+        bad.extend([origin, direction, origin.between(f32::NEG_INFINITY, f32::INFINITY)]);
+    }
+    bad
+}
+
+#[test]
+fn bad_rays_miss_in_every_mode() {
+    let octree = Mesh::cube(2).octree(&BuildOptions::default());
+    let good = Ray::new([0.25, 0.125, 5.0], [0.0, 0.0, -1.0]);
+    let linear: Box<dyn Tracer> = Box::new(LinearTracer::new(&octree).unwrap());
+    let tracers = Isa::available().into_iter().map(|isa| {
+        let tracer: Box<dyn Tracer> = Box::new(OctreeTracer::new(&octree).with_isa(isa));
+        tracer
+    });
+    for tracer in tracers.chain([linear]) {
+        let bad: Vec<Query> = bad_rays().into_iter().map(|ray| Query { ray, skip: Skip::NONE }).collect();
+        let answers = answers(tracer.as_ref(), &bad);
+        assert!(answers.closest.iter().all(|hit| *hit == bits(Hit::MISS)), "{answers:?}");
+        assert!(!answers.any.contains(&true) && answers.lists.iter().all(Vec::is_empty));
+        for query in &bad {
+            assert_eq!(tracer.closest(&query.ray, Skip::NONE).unwrap(), None);
+            assert!(!tracer.any(&query.ray, Skip::NONE).unwrap());
+        }
+        // Legal, whatever they look like.
+        let t = |ray: Ray| tracer.closest(&ray, Skip::NONE).unwrap().map(|found| found.hit.t);
+        assert_eq!(t(good.between(f32::NEG_INFINITY, f32::INFINITY)), Some(4.0));
+        assert_eq!(t(Ray { direction: [0.0, 0.0, 1.0], ..good }.between(-5.0, -1.0)), Some(-4.0));
+        assert_eq!(t(good.between(-0.0, f32::INFINITY)), Some(4.0));
+        assert_eq!(t(Ray { direction: [0.0, -0.0, -1e-45], ..good }), None, "its t is beyond f32");
+        assert_eq!(t(good.between(4.0, 4.0)), Some(4.0));
+    }
+}
+
+#[test]
+fn bad_rays_miss_in_octtrace() {
+    let folder = tempfile::tempdir().unwrap();
+    let [obj, oct] = ["cube.obj", "cube.oct"].map(|name| folder.path().join(name));
+    let mesh = Mesh::cube(2);
+    let vertices = mesh.positions.iter().map(|[x, y, z]| format!("v {x} {y} {z}\n"));
+    let faces = mesh.faces.iter().map(|f| f.map(|v| v + 1)).map(|[a, b, c]| format!("f {a} {b} {c}\n"));
+    std::fs::write(&obj, vertices.chain(faces).collect::<String>()).unwrap();
+    let octbuild = env!("CARGO_BIN_EXE_octbuild");
+    assert_cmd::Command::new(octbuild).args(["-q", "-o"]).args([&oct, &obj]).assert().success();
+    let mut rays = bad_rays();
+    rays.push(Ray::new([0.25, 0.125, 5.0], [0.0, 0.0, -1.0]).between(f32::NEG_INFINITY, f32::INFINITY));
+    for isa in Isa::available() {
+        let mut command = assert_cmd::Command::new(env!("CARGO_BIN_EXE_octtrace"));
+        command.arg(&oct).args(["--isa", isa.name()]).write_stdin(bytemuck::cast_slice::<Ray, u8>(&rays).to_vec());
+        let output = command.timeout(std::time::Duration::from_secs(60)).output().unwrap();
+        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+        let hits: Vec<Hit> = bytemuck::pod_collect_to_vec(&output.stdout);
+        let (last, rest) = hits.split_last().unwrap();
+        assert!(last.is_hit() && rest.len() == rays.len() - 1);
+        assert!(rest.iter().all(|hit| bits(*hit) == bits(Hit::MISS)), "{}: {rest:?}", isa.name());
     }
 }

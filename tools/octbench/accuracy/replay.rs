@@ -196,3 +196,48 @@ impl Replay {
         Ok(report.finish(0, name))
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::families::ray;
+
+    /// Two triangles one behind the other, said to be closed. A ray that meets one of them disagrees with that; one that meets both
+    /// or none does not.
+    fn case() -> Case {
+        let at = |z: f32, x: f32| [[x, 0.0, z], [x + 4.0, 0.0, z], [x, 4.0, z]];
+        let mesh = Mesh::soup([at(0.0, 0.0), at(1.0, 2.0)]);
+        let down = |x: f32, y: f32| Probe::all(ray([x, y, 5.0], [0.0, 0.0, -1.0]));
+        let probes = vec![down(9.0, 9.0), down(0.5, 0.5), down(2.25, 0.5), down(5.5, 0.25)];
+        Case { mesh, probes, closed: true, ..Case::default() }
+    }
+
+    #[test]
+    fn only_rays_that_disagree_are_kept_and_come_back() {
+        let (case, options) = (case(), BuildOptions { brick: Some(7), ..BuildOptions::default() });
+        let kept = reduced(&case, &options).unwrap();
+        let kept_rays: Vec<String> = kept.probes.iter().map(probe_line).collect();
+        assert_eq!(kept_rays, [1, 3].map(|k| probe_line(&case.probes[k])));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("case.txt");
+        std::fs::write(&path, to_text("a title", &kept, &options)).unwrap();
+        let again = read(&path).unwrap();
+        assert_eq!(again.builds, [options]);
+        assert_eq!((&again.case.mesh.points, &again.case.mesh.faces), (&kept.mesh.points, &kept.mesh.faces));
+        assert_eq!(again.case.probes.iter().map(probe_line).collect::<Vec<_>>(), kept_rays);
+        let modes = octrace::trace::Isa::available().len() as u64 + 1;
+        assert_eq!(again.run("again").unwrap().disagreements(), 2 * modes);
+    }
+
+    #[test]
+    fn without_a_face_the_others_keep_their_places() {
+        let mut case = case();
+        case.probes[0].skip = [0, 1];
+        let fewer = without(&case, 0..1);
+        assert_eq!(fewer.mesh.faces.len(), 1);
+        assert_eq!(fewer.mesh.corners(0), case.mesh.corners(1));
+        assert_eq!(fewer.mesh.points.len(), 3);
+        assert_eq!(fewer.probes[0].skip, [u32::MAX, 0]);
+        assert_eq!(fewer.probes[1].skip, [u32::MAX; 2]);
+    }
+}
