@@ -99,7 +99,7 @@ struct Replay {
 
 #[derive(clap::Args)]
 struct Closed {
-    /// A closed mesh [default: a planet of 100,000 triangles]
+    /// A closed mesh [default: a planet of 101,568 triangles]
     #[arg(long, value_name = "FILE.obj")]
     model: Option<PathBuf>,
     /// Rays aimed at vertices, middles of edges and points of faces
@@ -227,7 +227,7 @@ fn run_closed(options: &Closed, session: &Session<'_>) -> Result<ExitCode> {
     let monitor = session.monitor();
     let (mesh, name) = match &options.model {
         Some(path) => (bench::load(path, monitor)?, path.as_path()),
-        None => (planet::mesh(100_000, options.seed), Path::new("planet")),
+        None => (planet::mesh(101_568, options.seed), Path::new("planet")),
     };
     let r = closed::run(&mesh, name, options.rays, options.seed, monitor)?;
     options.stats.write(&r)?;
