@@ -197,7 +197,7 @@ fn step<'a, K: Kernel, C: Collector<'a>>(
         }
     }
     let node = view.node(*index);
-    let slot = (left.trailing_zeros() & 7) as usize ^ usize::from(sight.setup.way.mask & 7);
+    let slot = (left.trailing_zeros() & 7) as usize ^ usize::from(sight.setup.way.order & 7);
     *left &= *left - 1;
     let byte = node.slots[slot];
     if byte < EMPTY {

@@ -12,6 +12,9 @@ use crate::error::Result;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
 
+/// Files up to this size stay in the processor's caches, and are walked by one ray after the other: measured.
+const CACHED: u64 = 64 << 20;
+
 /// Answers rays by walking an octree file. `O` is `&Octree`, `Arc<Octree>`, or `Octree` itself.
 pub struct OctreeTracer<O> {
     octree: O,
@@ -30,6 +33,13 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     /// The same with a given instruction set; the answers are the same, bit for bit.
     pub fn with_isa(self, isa: Isa) -> OctreeTracer<O> {
         OctreeTracer { isa, ..self }
+    }
+
+    /// The same, but each node's children far to near: slower, the answers the same, bit for bit. For tests of that.
+    #[doc(hidden)]
+    pub fn backward(mut self) -> OctreeTracer<O> {
+        self.scene.turn = 7;
+        self
     }
 
     /// The instruction set in use.
@@ -61,6 +71,15 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         let file = File::new(self.octree(), &self.scene);
         STACK.with_borrow_mut(|stack| self.isa.run(OneByOne { ask, rays, answers, file, counters, stack }))?;
         self.octree().fault()
+    }
+
+    /// Answers rays of which nothing is known, on this thread, by the walk that is faster for the file.
+    fn many<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()> {
+        if self.octree().header().file_bytes > CACHED {
+            self.in_flight(ask, rays, answers, counters)
+        } else {
+            self.one_by_one(ask, rays, answers, counters)
+        }
     }
 
     /// Answers rays several at a time, on this thread; adds the work done to `counters`.
@@ -96,21 +115,13 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
         batch(rays, hits, |rays, hits, counters| {
-            if std::env::var_os("ONE").is_some() {
-                self.one_by_one(LeastHit, rays, hits, counters)
-            } else {
-                self.in_flight(LeastHit, rays, hits, counters)
-            }
+            self.many(LeastHit, rays, hits, counters)
         })
     }
 
     fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
         batch(rays, blocked, |rays, blocked, counters| {
-            if std::env::var_os("ONE").is_some() {
-                self.one_by_one(Whether(Skip::NONE), rays, blocked, counters)
-            } else {
-                self.in_flight(Whether(Skip::NONE), rays, blocked, counters)
-            }
+            self.many(Whether(Skip::NONE), rays, blocked, counters)
         })
     }
 }

@@ -51,6 +51,8 @@ pub(super) struct Scene {
     fit: Fit,
     /// eps (L + 8).
     rounding: f64,
+    /// What turns the direction mask into the order of visits: 0 for near to far, 7 for far to near.
+    pub turn: u8,
 }
 
 impl Scene {
@@ -60,7 +62,7 @@ impl Scene {
         let (scale, rounding) = (exp2(-root.log2_side), (f64::from(depth) + 8.0) / 16_777_216.0);
         let [x, y, z] = root.corner.to_array();
         let fit = Fit { corner: [x, y, z, 0.0], scale, side, rounding: rounding as f32 };
-        Scene { bounds, root, scale, fit, rounding }
+        Scene { bounds, root, scale, fit, rounding, turn: 0 }
     }
 }
 
@@ -208,6 +210,7 @@ impl Setup {
         // pad is below 2^-41, so far below eps (L + 8) that the kernel's constant 3.01 in place of 3 covers it, and its own roundings.
         if kernel.aim(ray, &scene.fit, &mut self.way, &mut self.aim) {
             // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
+            self.way.order = self.way.mask ^ scene.turn;
             self.way.near = ray.tmin.next_down();
             self.far = ray.tmax.next_up();
             self.plain = true;
@@ -257,6 +260,7 @@ impl Setup {
         let tau0 = lesser(greater(0.0, enter), exit);
         let way = &mut self.way;
         way.mask = u8::from(inv[0] < 0.0) << 2 | u8::from(inv[1] < 0.0) << 1 | u8::from(inv[2] < 0.0);
+        way.order = way.mask ^ scene.turn;
         way.near = ((enter - tau0) as f32).next_down();
         self.far = ((exit - tau0) as f32).next_up();
         (self.scale, self.tau0, self.pad) = (scale, start.tau + tau0, PAD * (distance + 2.0));

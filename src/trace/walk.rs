@@ -154,7 +154,7 @@ impl<'a> File<'a> {
         counters: &mut Counters,
     ) -> Result<()> {
         let mut view = start.view;
-        let mask = usize::from(sight.setup.way.mask & 7);
+        let mask = usize::from(sight.setup.way.order & 7);
         // The parameter beyond which nothing matters.
         let mut far = sight.setup.far;
         let (mut nodes, mut bricks) = (1, u64::from(view.page.is_some()));

@@ -34,7 +34,7 @@ pub(super) unsafe fn run<J: Job>(job: J) -> J::Output {
     job.run(Avx2(()))
 }
 
-/// For each direction mask m the shuffle that puts eight bytes in the order of visits: byte i is slot i XOR m. The second half does
+/// For each order m the shuffle that puts eight bytes in the order of visits: byte i is slot i XOR m. The second half does
 /// the same for bytes 8 to 15.
 const ORDER: [[u8; 16]; 8] = {
     let mut order = [[0u8; 16]; 8];
@@ -110,7 +110,7 @@ unsafe fn axis<const I: i32>(node: &Node, frame: Frame, way: &Way, order: __m128
 unsafe fn touch(node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
     // SAFETY: the caller vouches for the instructions.
     unsafe {
-        let order = _mm_loadl_epi64(ORDER[usize::from(way.mask & 7)].as_ptr().cast());
+        let order = _mm_loadl_epi64(ORDER[usize::from(way.order & 7)].as_ptr().cast());
         let [x0, x1] = axis::<0>(node, frame, way, order);
         let [y0, y1] = axis::<1>(node, frame, way, order);
         let [z0, z1] = axis::<2>(node, frame, way, order);
@@ -484,15 +484,16 @@ impl Table {
                 return Lanes { accept: 0, doubt };
             }
             let sum = _mm256_add_ps(_mm256_add_ps(u, v), w);
-            let weighted =
-                _mm256_add_ps(_mm256_add_ps(_mm256_mul_ps(u, a[2]), _mm256_mul_ps(v, b[2])), _mm256_mul_ps(w, c[2]));
             let share = _mm256_div_ps(_mm256_set1_ps(1.0), sum);
-            let t = _mm256_mul_ps(_mm256_mul_ps(weighted, share), _mm256_set1_ps(shear.inverse()));
+            let of_a = _mm256_mul_ps(_mm256_mul_ps(u, share), a[2]);
+            let of_b = _mm256_mul_ps(_mm256_mul_ps(v, share), b[2]);
+            let of_c = _mm256_mul_ps(_mm256_mul_ps(w, share), c[2]);
+            let depth = _mm256_add_ps(_mm256_add_ps(of_a, of_b), of_c);
+            let t = _mm256_mul_ps(depth, _mm256_set1_ps(shear.inverse()));
             let most = _mm256_max_ps(_mm256_max_ps(a[2], b[2]), c[2]);
             let least = _mm256_min_ps(_mm256_min_ps(a[2], b[2]), c[2]);
             let [of_shape, of_depth, constant] = shear.depth_bound();
-            let range_of_z = _mm256_mul_ps(bound, _mm256_sub_ps(most, least));
-            let shape = _mm256_mul_ps(range_of_z, _mm256_andnot_ps(sign, share));
+            let shape = _mm256_mul_ps(_mm256_mul_ps(bound, _mm256_andnot_ps(sign, share)), _mm256_sub_ps(most, least));
             let shape = _mm256_mul_ps(shape, _mm256_set1_ps(of_shape));
             let deepest = _mm256_max_ps(_mm256_andnot_ps(sign, most), _mm256_andnot_ps(sign, least));
             let depth = _mm256_mul_ps(deepest, _mm256_set1_ps(of_depth));

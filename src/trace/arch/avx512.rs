@@ -34,20 +34,22 @@ pub(super) unsafe fn run<J: Job>(job: J) -> J::Output {
     job.run(Avx512(()))
 }
 
-/// For each direction mask m and axis the bytes of a node that the node test takes: in lane i the plane by which slot i XOR m is entered,
-/// in lane 8 + i the one by which it is left; only the first byte of a lane's four counts.
-static ORDER: [[Index; 3]; 8] = {
-    let mut order = [[Index([0; 64]); 3]; 8];
+/// For each direction mask m (near to far, then far to near, where the order is its complement) and axis the bytes of a node that the
+/// node test takes: in lane i the plane by which slot i XOR order is entered, in lane 8 + i the one by which it is left; only the
+/// first byte of a lane's four counts.
+static ORDER: [[Index; 3]; 16] = {
+    let mut order = [[Index([0; 64]); 3]; 16];
     let mut m = 0;
-    while m < 8 {
+    while m < 16 {
+        let visit = if m < 8 { m } else { (m - 8) ^ 7 };
         let mut axis = 0;
         while axis < 3 {
             // Low planes at 8 * axis, high ones 24 further on; a downward ray enters by the high plane.
             let down = if m >> (2 - axis) & 1 != 0 { 24 } else { 0 };
             let mut i = 0;
             while i < 8 {
-                order[m][axis].0[4 * i] = (8 * axis + down + (i ^ m)) as u8;
-                order[m][axis].0[4 * (8 + i)] = (8 * axis + 24 - down + (i ^ m)) as u8;
+                order[m][axis].0[4 * i] = (8 * axis + down + (i ^ visit)) as u8;
+                order[m][axis].0[4 * (8 + i)] = (8 * axis + 24 - down + (i ^ visit)) as u8;
                 i += 1;
             }
             axis += 1;
@@ -79,7 +81,8 @@ const STEPS: u16 = 0xf0f0;
 unsafe fn axis<const I: i32>(node: __m512i, frame: Frame, way: &Way) -> __m512 {
     // SAFETY: the caller vouches for the instructions; the index is 64 bytes, aligned.
     unsafe {
-        let order = &ORDER[usize::from(way.mask & 7)][I as usize];
+        let backward = (way.mask ^ way.order) & 1;
+        let order = &ORDER[usize::from(way.mask & 7 | backward << 3)][I as usize];
         let order = _mm512_load_si512(order.0.as_ptr().cast());
         let plane = _mm512_cvtepi32_ps(_mm512_maskz_permutexvar_epi8(FIRST, order, node));
         let begin = _mm512_mask_mov_epi32(_mm512_set1_epi32(I), 0xff00, _mm512_set1_epi32(8 + I));
@@ -335,13 +338,15 @@ unsafe fn classify<const WIDE: bool>(
         }
         let (za, zb, zc) = (pick::<WIDE>(z, z1, ia), pick::<WIDE>(z, z1, ib), pick::<WIDE>(z, z1, ic));
         let sum = _mm512_add_ps(_mm512_add_ps(u, v), w);
-        let weighted = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(u, za), _mm512_mul_ps(v, zb)), _mm512_mul_ps(w, zc));
         let share = _mm512_div_ps(_mm512_set1_ps(1.0), sum);
-        let t = _mm512_mul_ps(_mm512_mul_ps(weighted, share), _mm512_set1_ps(shear.inverse()));
+        let of_a = _mm512_mul_ps(_mm512_mul_ps(u, share), za);
+        let of_b = _mm512_mul_ps(_mm512_mul_ps(v, share), zb);
+        let of_c = _mm512_mul_ps(_mm512_mul_ps(w, share), zc);
+        let t = _mm512_mul_ps(_mm512_add_ps(_mm512_add_ps(of_a, of_b), of_c), _mm512_set1_ps(shear.inverse()));
         let most = _mm512_max_ps(_mm512_max_ps(za, zb), zc);
         let least = _mm512_min_ps(_mm512_min_ps(za, zb), zc);
         let [of_shape, of_depth, constant] = shear.depth_bound();
-        let shape = _mm512_mul_ps(_mm512_mul_ps(bound, _mm512_sub_ps(most, least)), _mm512_abs_ps(share));
+        let shape = _mm512_mul_ps(_mm512_mul_ps(bound, _mm512_abs_ps(share)), _mm512_sub_ps(most, least));
         let shape = _mm512_mul_ps(shape, _mm512_set1_ps(of_shape));
         let deepest = _mm512_max_ps(_mm512_abs_ps(most), _mm512_abs_ps(least));
         let depth = _mm512_mul_ps(deepest, _mm512_set1_ps(of_depth));

@@ -73,6 +73,8 @@ pub(super) struct Way {
     pub slack: [f32; 4],
     /// The direction mask a: bit 2 - i set where axis i is traversed downwards.
     pub mask: u8,
+    /// Slots are visited as i XOR this: a for near to far, its complement for far to near.
+    pub order: u8,
     /// The parameter at which the ray begins.
     pub near: f32,
 }

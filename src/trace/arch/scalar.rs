@@ -68,7 +68,7 @@ impl Kernel for Scalar {
             let (dt, begin) = (planes.dt[axis], planes.begin[axis]);
             let end = begin + way.slack[axis];
             for i in 0..8 {
-                let slot = i ^ usize::from(way.mask & 7);
+                let slot = i ^ usize::from(way.order & 7);
                 let enter = begin + f32::from(first[slot]) * dt;
                 let leave = end + f32::from(second[slot]) * dt;
                 near[i] = if enter > near[i] { enter } else { near[i] };

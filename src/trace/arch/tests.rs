@@ -16,6 +16,7 @@ struct Nodes<'a> {
     node: &'a Node,
     below: &'a Node,
     far: f32,
+    turn: u8,
 }
 
 /// Whether the ray is plain, what its aim is, and the slots touched and where they are entered: of the node, and of each child.
@@ -28,6 +29,7 @@ impl Job for Nodes<'_> {
         let (mut way, mut aim) = (Way::default(), Aim::default());
         let plain = kernel.aim(self.ray, self.fit, &mut way, &mut aim);
         way.near = self.ray.tmin;
+        way.order = way.mask ^ self.turn;
         let frame = kernel.frame(self.cell, &aim, &way);
         let mut saved = Saved::zeroed();
         let mut touch = |frame, node| {
@@ -77,7 +79,8 @@ proptest! {
         origin in proptest::array::uniform3(-3f32..3.0),
         direction in proptest::array::uniform3(-2f32..2.0),
         corner in proptest::array::uniform3(0u8..3),
-        log2_side in -3i32..4
+        log2_side in -3i32..4,
+        backward: bool
     ) {
         prop_assume!(direction.iter().all(|d| d.abs() > 1e-3));
         let side = (log2_side as f32).exp2();
@@ -86,7 +89,7 @@ proptest! {
         let cell = Cell { corner: corner.map(|c| f32::from(c) / 4.0), unit: [1.0 / 512.0, 1.0 / 1024.0, 1.0 / 512.0] };
         let fit = Fit { corner: [0.0; 4], scale: f64::from(side).recip(), side, rounding: 20.0 / 16_777_216.0 };
         let look = |fit: &Fit, isa: Isa| {
-            isa.run(Nodes { ray: &ray, fit, cell: &cell, node: &node, below: &below, far: 1e9 })
+            isa.run(Nodes { ray: &ray, fit, cell: &cell, node: &node, below: &below, far: 1e9, turn: if backward { 7 } else { 0 } })
         };
         let (plain, way, aim, expected) = look(&fit, Isa::SCALAR);
         prop_assert!(plain);
