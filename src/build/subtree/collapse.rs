@@ -9,7 +9,7 @@
 //!
 //! Costs travel up while the binary tree is built; only the choices ([`Plan`], 8 bytes a node) are kept for the way down.
 
-use super::sah::{BinaryNode, Primitive};
+use super::sah::{Binary, BinaryNode, Primitive};
 use super::wide::{Bounds, Child, WideTree};
 use crate::geometry::{Aabb, RootCube};
 
@@ -30,6 +30,11 @@ impl Costs {
     /// Of a subtree that is a leaf and is not divided.
     pub fn terminal(area: f64) -> Costs {
         Costs([area * LEAF_COST; 7])
+    }
+
+    /// The cost as a single child of some node.
+    pub fn as_child(&self) -> f64 {
+        self.0[0]
     }
 
     /// Of a node with two children. `is_record`: whether one leaf record holds the whole subtree.
@@ -62,14 +67,15 @@ fn distribute(left: &Costs, right: &Costs, i: usize) -> (f64, u8) {
     best
 }
 
-/// The 8-wide tree over a binary tree; `primitives` as [`super::sah::build`] left them.
-pub(super) fn collapse(binary: &[BinaryNode], primitives: &[Primitive], order: &[u32], root: RootCube) -> WideTree {
+/// The 8-wide tree over a binary tree.
+pub(super) fn collapse(binary: &Binary, order: &[u32], root: RootCube) -> WideTree {
+    let count = binary.nodes[0].count as usize;
     let mut tree = WideTree {
-        references: primitives.iter().map(|p| order[p.id as usize]).collect(),
-        leaves: Vec::with_capacity(primitives.len() / 8 + 1),
-        nodes: Vec::with_capacity(primitives.len() / 32 + 1),
+        references: Vec::with_capacity(count),
+        leaves: Vec::with_capacity(count / 8 + 1),
+        nodes: Vec::with_capacity(count / 32 + 1),
     };
-    let top = Collapse { binary, root }.child(&mut tree, 0);
+    let top = Collapse { binary: &binary.nodes, primitives: &binary.primitives, order, root }.child(&mut tree, 0);
     let top = tree.root_of(top);
     debug_assert_eq!(top as usize, tree.nodes.len() - 1, "the root is the last node");
     tree
@@ -77,6 +83,8 @@ pub(super) fn collapse(binary: &[BinaryNode], primitives: &[Primitive], order: &
 
 struct Collapse<'a> {
     binary: &'a [BinaryNode],
+    primitives: &'a [Primitive],
+    order: &'a [u32],
     root: RootCube,
 }
 
@@ -85,8 +93,10 @@ impl Collapse<'_> {
     fn child(&self, tree: &mut WideTree, node: usize) -> Child {
         let binary = &self.binary[node];
         if binary.right == 0 || binary.plan.0[0] == 0 {
+            let first = tree.references.len();
+            self.gather(node, first, &mut tree.references);
             let bounds = Bounds::of(Aabb { min: binary.min.into(), max: binary.max.into() }, self.root);
-            return tree.add_leaf(bounds, binary.first, binary.count);
+            return tree.add_leaf(bounds, first as u32, (tree.references.len() - first) as u32);
         }
         let (mut cut, mut len) = ([0; 8], 0);
         self.cut_below(node, 8, &mut cut, &mut len);
@@ -95,6 +105,23 @@ impl Collapse<'_> {
             *child = self.child(tree, n);
         }
         tree.add_node_by_place(&made[..len])
+    }
+
+    /// Adds the triangles of a subtree that is to be a leaf, whose first is number `first`: parts of one that meet again
+    /// in it count once.
+    fn gather(&self, node: usize, first: usize, references: &mut Vec<u32>) {
+        let binary = &self.binary[node];
+        if binary.right != 0 {
+            self.gather(node + 1, first, references);
+            return self.gather(node + binary.right as usize, first, references);
+        }
+        let at = binary.first as usize;
+        for primitive in &self.primitives[at..at + binary.count as usize] {
+            let reference = self.order[primitive.id as usize];
+            if !references[first..].contains(&reference) {
+                references.push(reference);
+            }
+        }
     }
 
     /// The binary nodes that stand for `node` when it may have up to `slots` children of the node above.
