@@ -9,7 +9,8 @@
 //!
 //! Costs travel up while the binary tree is built; only the choices ([`Plan`], 8 bytes a node) are kept for the way down.
 
-use super::sah::{Binary, BinaryNode, Primitive};
+use super::primitive::Primitive;
+use super::sah::{Binary, BinaryNode};
 use super::wide::{Bounds, Child, WideTree};
 use crate::geometry::{Aabb, RootCube};
 

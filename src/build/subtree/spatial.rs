@@ -17,8 +17,9 @@
 
 use glam::Vec3A;
 
+use super::primitive::{Primitive, Span};
 use super::record::RecordLimits;
-use super::sah::{self, Binary, Canonical, Primitive, Span};
+use super::sah::{self, Binary, Canonical, side_cost};
 use crate::geometry::Triangle;
 
 /// Most slabs an axis.
@@ -142,7 +143,7 @@ struct Content {
     end: [u32; SLABS],
 }
 
-/// The plane of least cost (area times number, summed over both sides) below `bound` for which `room` is enough.
+/// The plane of least cost (area times [`side_cost`], summed over both sides) below `bound` for which `room` is enough.
 pub(super) fn best_cut(
     primitives: &[Primitive],
     span: Span,
@@ -191,7 +192,7 @@ impl Content {
         for slab in (1..slabs.count).rev() {
             span = span.union(self.spans[slab]);
             count += self.end[slab];
-            above[slab] = (span.half_area() * f64::from(count), count);
+            above[slab] = (span.half_area() * side_cost(count), count);
         }
         let mut best = (f64::INFINITY, 1);
         (span, count) = (Span::EMPTY, 0);
@@ -199,7 +200,7 @@ impl Content {
             span = span.union(self.spans[slab - 1]);
             count += self.begin[slab - 1];
             let (cost, beyond) = above[slab];
-            let cost = span.half_area() * f64::from(count) + cost;
+            let cost = span.half_area() * side_cost(count) + cost;
             if count > 0 && beyond > 0 && (count + beyond) as usize <= most && cost < best.0 {
                 best = (cost, slab);
             }
@@ -262,58 +263,30 @@ fn rounded_down(x: f64) -> f32 {
 /// Puts the primitives of a list on their sides of a cut, second places into the room behind the first `count`; the
 /// lengths of both sides. `None` if one side would be empty: then nothing is changed.
 pub(super) fn apply(cut: Cut, list: &mut [Primitive], count: usize, triangles: Canonical<'_>) -> Option<[usize; 2]> {
-    let mut room = list.len() - count;
-    let mut sides = [Side::new(), Side::new()];
+    let mut sides = Sides { lists: [Vec::new(), Vec::new()], spans: [Span::EMPTY; 2], counts: [0; 2] };
     let mut crossing = Vec::new();
-    for (place, primitive) in list[..count].iter().enumerate() {
-        if primitive.max()[cut.axis] <= cut.plane {
-            sides[0].add(*primitive);
-        } else if primitive.min()[cut.axis] >= cut.plane {
-            sides[1].add(*primitive);
+    for primitive in &list[..count] {
+        if primitive.max[cut.axis] <= cut.plane {
+            sides.expect(0, primitive.span());
+            sides.lists[0].push(*primitive);
+        } else if primitive.min[cut.axis] >= cut.plane {
+            sides.expect(1, primitive.span());
+            sides.lists[1].push(*primitive);
         } else {
-            crossing.push(place);
+            let (low, high) = cut.parts(primitive.span(), triangles.triangle(primitive.id));
+            crossing.push((*primitive, [low, high]));
         }
+    }
+    for (_, parts) in &crossing {
+        let parts = parts.iter().enumerate().filter(|(_, part)| !part.is_empty());
+        parts.for_each(|(side, &part)| sides.expect(side, part));
+    }
+    let mut room = list.len() - count;
+    for (primitive, parts) in crossing {
+        room -= usize::from(sides.settle(primitive, parts, room > 0));
     }
 
-    // As if all were cut; then one by one whatever is cheapest of cutting it, and leaving it whole on one side.
-    let parts: Vec<(Span, Span)> =
-        crossing.iter().map(|&place| cut.parts(list[place].span(), triangles.triangle(list[place].id))).collect();
-    let mut spans = sides.each_ref().map(|side| side.span);
-    let mut counts = sides.each_ref().map(|side| side.list.len());
-    for part in &parts {
-        for (side, part) in [part.0, part.1].into_iter().enumerate().filter(|(_, part)| !part.is_empty()) {
-            spans[side] = spans[side].union(part);
-            counts[side] += 1;
-        }
-    }
-    for (&place, &(low, high)) in crossing.iter().zip(&parts) {
-        let primitive = list[place];
-        match (low.is_empty(), high.is_empty()) {
-            (false, true) => sides[0].add(primitive.within(low)),
-            (true, _) => sides[1].add(primitive.within(if high.is_empty() { primitive.span() } else { high })),
-            (false, false) => {
-                let areas = spans.map(Span::half_area);
-                let wholes = spans.map(|span| span.union(primitive.span()));
-                let cost =
-                    |areas: [f64; 2], counts: [usize; 2]| areas[0] * counts[0] as f64 + areas[1] * counts[1] as f64;
-                let both = if room > 0 { cost(areas, counts) } else { f64::INFINITY };
-                let first = cost([wholes[0].half_area(), areas[1]], [counts[0], counts[1] - 1]);
-                let second = cost([areas[0], wholes[1].half_area()], [counts[0] - 1, counts[1]]);
-                if both < first && both < second {
-                    sides[0].add(primitive.within(low));
-                    sides[1].add(primitive.within(high));
-                    room -= 1;
-                } else {
-                    let side = usize::from(second < first);
-                    sides[side].add(primitive);
-                    spans[side] = wholes[side];
-                    counts[1 - side] -= 1;
-                }
-            }
-        }
-    }
-
-    let [low, high] = sides.map(|side| side.list);
+    let [low, high] = sides.lists;
     let (first, both) = (low.len(), low.len() + high.len());
     if first == 0 || first == both {
         return None;
@@ -323,19 +296,144 @@ pub(super) fn apply(cut: Cut, list: &mut [Primitive], count: usize, triangles: C
     Some([first, both - first])
 }
 
-/// One side of a cut as it fills.
-struct Side {
-    list: Vec<Primitive>,
-    span: Span,
+/// The two sides of a cut as they fill.
+struct Sides {
+    /// What has its place.
+    lists: [Vec<Primitive>; 2],
+    /// The boxes and numbers that the sides will have, if all that is not yet placed is cut in two.
+    spans: [Span; 2],
+    counts: [u32; 2],
 }
 
-impl Side {
-    fn new() -> Side {
-        Side { list: Vec::new(), span: Span::EMPTY }
+impl Sides {
+    /// One more is to come to a side.
+    fn expect(&mut self, side: usize, span: Span) {
+        self.spans[side] = self.spans[side].union(span);
+        self.counts[side] += 1;
     }
 
-    fn add(&mut self, primitive: Primitive) {
-        self.span = self.span.union(primitive.span());
-        self.list.push(primitive);
+    /// Places a primitive that the plane cuts in two: both parts, if that is the cheapest and there is `room`, or the
+    /// whole on one side. Whether it takes a second place.
+    fn settle(&mut self, primitive: Primitive, [low, high]: [Span; 2], room: bool) -> bool {
+        if low.is_empty() || high.is_empty() {
+            // Nothing of it lies on one side (nor on the other, if both are empty: then any place is good).
+            let side = usize::from(low.is_empty());
+            let part = if side == 0 { low } else { high };
+            self.lists[side].push(if part.is_empty() { primitive } else { primitive.within(part) });
+            return false;
+        }
+        let wholes = self.spans.map(|span| span.union(primitive.span()));
+        let cost = |spans: [Span; 2], counts: [u32; 2]| -> f64 {
+            spans.into_iter().zip(counts).map(|(span, count)| span.half_area() * side_cost(count)).sum()
+        };
+        let both = if room { cost(self.spans, self.counts) } else { f64::INFINITY };
+        let first = cost([wholes[0], self.spans[1]], [self.counts[0], self.counts[1] - 1]);
+        let second = cost([self.spans[0], wholes[1]], [self.counts[0] - 1, self.counts[1]]);
+        if both < first && both < second {
+            self.lists[0].push(primitive.within(low));
+            self.lists[1].push(primitive.within(high));
+            return true;
+        }
+        let side = usize::from(second < first);
+        self.lists[side].push(primitive);
+        self.spans[side] = wholes[side];
+        self.counts[1 - side] -= 1;
+        false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use dashu_ratio::RBig;
+    use glam::Vec3;
+    use proptest::prelude::*;
+
+    fn exact(x: f32) -> RBig {
+        RBig::try_from(x).expect("finite")
+    }
+
+    /// The part of a convex polygon on one side of a plane, exactly.
+    fn clipped(polygon: &[[RBig; 3]], axis: usize, plane: &RBig, above: bool) -> Vec<[RBig; 3]> {
+        let inside = |p: &[RBig; 3]| if above { p[axis] >= *plane } else { p[axis] <= *plane };
+        let mut out = Vec::new();
+        for (i, p) in polygon.iter().enumerate() {
+            let q = &polygon[(i + 1) % polygon.len()];
+            if inside(p) {
+                out.push(p.clone());
+            }
+            if inside(p) != inside(q) {
+                let t = (plane - &p[axis]) / (&q[axis] - &p[axis]);
+                out.push(std::array::from_fn(|k| &p[k] + &t * (&q[k] - &p[k])));
+            }
+        }
+        out
+    }
+
+    fn holds(span: Span, p: &[RBig; 3]) -> bool {
+        (0..3).all(|k| exact(span.min[k]) <= p[k] && p[k] <= exact(span.max[k]))
+    }
+
+    proptest! {
+        /// A triangle cut again and again, one of the parts followed: each part's box holds every corner of the exact part, so the
+        /// whole of it; and it is not much larger.
+        #[test]
+        fn boxes_hold_exact_parts(
+            p in prop::array::uniform9(-1.0f32..1.0), offset in prop::array::uniform3(-1e3f32..1e3), flat in 0usize..4,
+            scale in -130i32..=100, cuts in prop::collection::vec((0usize..3, 0.0f32..=1.0, any::<bool>()), 1..12),
+        ) {
+            let scale = 2f32.powi(scale);
+            let at = |i: usize| {
+                let v = Vec3::new(p[i], p[i + 1], p[i + 2]);
+                let v = if flat < 3 { v.with_x(if flat == 0 { 0.25 } else { v.x }).with_z(v.z * 1e-7) } else { v };
+                (Vec3::from_array(offset) + v) * scale
+            };
+            let triangle = Triangle { a: at(0), b: at(3), c: at(6) };
+            let mut polygon: Vec<[RBig; 3]> = triangle.vertices().iter().map(|v| v.to_array().map(exact)).collect();
+            let mut span = Primitive::new(0, &triangle).span();
+            for (axis, place, above) in cuts {
+                let plane = span.min[axis] + place * (span.max[axis] - span.min[axis]);
+                if !(span.min[axis] < plane && plane < span.max[axis]) {
+                    continue;
+                }
+                let (low, high) = Cut { axis, plane }.parts(span, &triangle);
+                for (part, above) in [(low, false), (high, true)] {
+                    for corner in clipped(&polygon, axis, &exact(plane), above) {
+                        prop_assert!(holds(part, &corner), "{part:?} {corner:?}");
+                    }
+                }
+                let next = if above { high } else { low };
+                polygon = clipped(&polygon, axis, &exact(plane), above);
+                if next.is_empty() {
+                    prop_assert!(polygon.is_empty());
+                    break;
+                }
+                prop_assert!(next.min.cmpge(span.min).all() && next.max.cmple(span.max).all());
+                span = next;
+            }
+        }
+
+        /// Slabs: what a box reaches is what the planes say.
+        #[test]
+        fn slabs_are_found(low in -1e3f32..1e3, width in 1e-3f32..1e3, a in 0.0f32..=1.0, b in 0.0f32..=1.0) {
+            let span = Span { min: Vec3A::splat(low), max: Vec3A::splat(low + width) };
+            let Some(slabs) = Slabs::new(span, 1, 1000) else { return Ok(()) };
+            let place = |x: f32| (low + x * width).clamp(low, low + width);
+            let (min, max) = (place(a.min(b)), place(a.max(b)));
+            let (first, last) = slabs.reached(Span { min: Vec3A::splat(min), max: Vec3A::splat(max) });
+            prop_assert!(slabs.planes[first] <= min && (first + 1 == SLABS || min < slabs.planes[first + 1]));
+            prop_assert!(last == first || slabs.planes[last] < max);
+            prop_assert!(last + 1 == SLABS || max <= slabs.planes[last + 1]);
+        }
+    }
+
+    #[test]
+    fn a_diagonal_is_cut_small() {
+        let triangle = Triangle { a: Vec3::ZERO, b: Vec3::ONE, c: Vec3::new(1.0, 1.0, 0.99) };
+        let (low, high) = Cut { axis: 0, plane: 0.5 }.parts(Primitive::new(0, &triangle).span(), &triangle);
+        for (part, min, max) in [(low, 0.0, 0.5), (high, 0.495, 1.0)] {
+            assert!(part.min.cmpge(Vec3A::splat(min - 1e-6)).all(), "{part:?}");
+            assert!(part.max.cmple(Vec3A::splat(max + 1e-6)).all(), "{part:?}");
+        }
     }
 }
