@@ -321,7 +321,7 @@ impl<'a> Walk<'a, '_> {
                 index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
                 self.stack[below].planes = planes;
             } else if byte & 0xc0 == BRICK && view.page.is_none() {
-                let number = node.first_leaf.wrapping_add(u32::from(byte & 7));
+                let number = node.first_leaf.wrapping_add(u32::from(byte & 0x3f));
                 let Some(brick) = self.octree.bricks().get(number as usize) else { continue };
                 self.keep(top, index, view.number, left);
                 self.counters.bricks += 1;

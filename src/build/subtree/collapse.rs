@@ -27,6 +27,11 @@ pub(super) struct Costs([f64; 7]);
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Plan([u8; 8]);
 
+impl Plan {
+    /// Without regard to costs: as equal shares as can be.
+    pub const BALANCED: Plan = Plan([1, 1, 1, 2, 2, 3, 3, 4]);
+}
+
 impl Costs {
     /// Of a subtree that is a leaf and is not divided.
     pub fn terminal(area: f64) -> Costs {
@@ -99,8 +104,7 @@ impl Collapse<'_> {
             let bounds = Bounds::of(Aabb { min: binary.min.into(), max: binary.max.into() }, self.root);
             return tree.add_leaf(bounds, first as u32, (tree.references.len() - first) as u32);
         }
-        let (mut cut, mut len) = ([0; 8], 0);
-        self.cut_below(node, 8, &mut cut, &mut len);
+        let (cut, len) = children(self.binary, node);
         let mut made = [Child::Empty; 8];
         for (child, &n) in made.iter_mut().zip(&cut[..len]) {
             *child = self.child(tree, n);
@@ -124,25 +128,44 @@ impl Collapse<'_> {
             }
         }
     }
+}
 
-    /// The binary nodes that stand for `node` when it may have up to `slots` children of the node above.
-    fn cut(&self, node: usize, slots: usize, cut: &mut [usize; 8], len: &mut usize) {
-        let binary = &self.binary[node];
-        let fewest = (2..=slots).rev().find(|&i| binary.plan.0[i - 1] != 0);
-        match fewest {
-            Some(i) if binary.right != 0 => self.cut_below(node, i, cut, len),
-            _ => {
-                cut[*len] = node;
-                *len += 1;
-            }
+impl Linked for BinaryNode {
+    fn link(&self) -> (usize, &Plan) {
+        (self.right as usize, &self.plan)
+    }
+}
+
+/// A node of a binary tree in preorder.
+pub(super) trait Linked {
+    /// The distance to its right child (the left one is next; 0 = none), and its plan.
+    fn link(&self) -> (usize, &Plan);
+}
+
+/// The nodes of a binary tree that become the children of an 8-wide node in place of `node`, which has children.
+pub(super) fn children<N: Linked>(tree: &[N], node: usize) -> ([usize; 8], usize) {
+    let (mut cut, mut len) = ([0; 8], 0);
+    cut_below(tree, node, 8, &mut cut, &mut len);
+    (cut, len)
+}
+
+/// The nodes that stand for `node` when it may have up to `slots` children of the node above.
+fn cut<N: Linked>(tree: &[N], node: usize, slots: usize, taken: &mut [usize; 8], len: &mut usize) {
+    let (right, plan) = tree[node].link();
+    let fewest = (2..=slots).rev().find(|&i| plan.0[i - 1] != 0);
+    match fewest {
+        Some(i) if right != 0 => cut_below(tree, node, i, taken, len),
+        _ => {
+            taken[*len] = node;
+            *len += 1;
         }
     }
+}
 
-    /// The same, divided for certain: by the plan for exactly `slots`.
-    fn cut_below(&self, node: usize, slots: usize, cut: &mut [usize; 8], len: &mut usize) {
-        let binary = &self.binary[node];
-        let share = usize::from(binary.plan.0[slots - 1]);
-        self.cut(node + 1, share, cut, len);
-        self.cut(node + binary.right as usize, slots - share, cut, len);
-    }
+/// The same, divided for certain: by the plan for exactly `slots`.
+fn cut_below<N: Linked>(tree: &[N], node: usize, slots: usize, taken: &mut [usize; 8], len: &mut usize) {
+    let (right, plan) = tree[node].link();
+    let share = usize::from(plan.0[slots - 1]);
+    cut(tree, node + 1, share, taken, len);
+    cut(tree, node + right, slots - share, taken, len);
 }
