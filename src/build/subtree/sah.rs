@@ -35,7 +35,7 @@ const SIDE: u32 = 4;
 /// take 22. Over a million triangles this leaves 20 levels more than a balanced tree has.
 const DEPTH_LIMIT: u32 = 40;
 /// Lists longer than this are built as two parallel tasks.
-const PARALLEL: usize = 1 << 14;
+pub(super) const PARALLEL: usize = 1 << 14;
 /// Spatial splits are looked for where the two sides' boxes share more than this part of the whole's surface (Stich,
 /// Friedrich and Dietrich 2009, section 4.4).
 const OVERLAP: f64 = 1e-5;

@@ -16,6 +16,7 @@
 //! and the tree is kept only if its cost is below [`GAIN`] of that without cuts.
 
 use glam::Vec3A;
+use rayon::prelude::*;
 
 use super::primitive::{Primitive, Span};
 use super::record::RecordLimits;
@@ -26,6 +27,9 @@ use crate::geometry::Triangle;
 const SLABS: usize = 32;
 /// Second places, in hundredths of the triangles.
 const ROOM: usize = 30;
+/// A list whose primitives cross more planes of an axis than this number and this many times their own number is not cut
+/// on that axis: all is large there, and no plane parts it.
+const MOST_CUTS: (usize, usize) = (512, 4);
 /// A box is large if its surface is this many times its fair share, the whole's surface over the number of triangles.
 const LARGE: f64 = 8.0;
 /// Large boxes must have this part of the surface of all boxes.
@@ -102,7 +106,11 @@ impl Slabs {
     /// `None` where the axis has no two different planes.
     fn new(span: Span, axis: usize, primitives: usize) -> Option<Slabs> {
         let (low, high) = (span.min[axis], span.max[axis]);
-        let count = if primitives <= 16 { SLABS / 4 } else { SLABS };
+        let count = match primitives {
+            ..=32 => SLABS / 4,
+            33..=256 => SLABS / 2,
+            _ => SLABS,
+        };
         let width = (0.5 * high - 0.5 * low) / (0.5 * count as f32);
         let mut planes = [f32::NEG_INFINITY; SLABS];
         for (i, plane) in planes.iter_mut().enumerate().take(count).skip(1) {
@@ -151,15 +159,21 @@ pub(super) fn best_cut(
     bound: f64,
     triangles: Canonical<'_>,
 ) -> Option<Cut> {
-    let mut best = (bound, None);
-    for slabs in (0..3).filter_map(|axis| Slabs::new(span, axis, primitives.len())) {
-        let content = Content::of(primitives, &slabs, triangles);
-        let (cost, slab) = content.cheapest(&slabs, primitives.len() + room);
-        if cost < best.0 {
-            best = (cost, Some(Cut { axis: slabs.axis, plane: slabs.planes[slab] }));
+    let grade = |axis: usize| {
+        let slabs = Slabs::new(span, axis, primitives.len())?;
+        let cuts = primitives.iter().map(|p| slabs.reached(p.span())).map(|(first, last)| last - first).sum::<usize>();
+        if cuts > MOST_CUTS.0 + MOST_CUTS.1 * primitives.len() {
+            return None;
         }
-    }
-    best.1
+        let (cost, slab) = Content::of(primitives, &slabs, triangles).cheapest(&slabs, primitives.len() + room);
+        Some((cost, Cut { axis, plane: slabs.planes[slab] }))
+    };
+    let graded = match primitives.len() > sah::PARALLEL {
+        true => (0..3).into_par_iter().map(grade).collect(),
+        false => Vec::from_iter((0..3).map(grade)),
+    };
+    let cheaper = |best: (f64, Cut), next: (f64, Cut)| if next.0 < best.0 { next } else { best };
+    graded.into_iter().flatten().reduce(cheaper).filter(|best| best.0 < bound).map(|best| best.1)
 }
 
 impl Content {
