@@ -210,10 +210,9 @@ impl Content {
         }
         let mut best = (f64::INFINITY, 1);
         (span, count) = (Span::EMPTY, 0);
-        for slab in 1..slabs.count {
+        for (slab, &(cost, beyond)) in above.iter().enumerate().take(slabs.count).skip(1) {
             span = span.union(self.spans[slab - 1]);
             count += self.begin[slab - 1];
-            let (cost, beyond) = above[slab];
             let cost = span.half_area() * side_cost(count) + cost;
             if count > 0 && beyond > 0 && (count + beyond) as usize <= most && cost < best.0 {
                 best = (cost, slab);

@@ -65,9 +65,8 @@ pub fn top_levels(nodes: &[Node], bricks: usize) -> Vec<u32> {
 
 /// A cell of the binary tree over the bricks; its left half is the next one.
 struct BinaryCell {
-    /// Its bricks.
+    /// Its first brick.
     first: usize,
-    end: usize,
     bounds: Bounds,
     /// Distance to the right half; 0 for a single brick.
     right: usize,
@@ -98,7 +97,7 @@ impl TopBuilder<'_> {
     fn halve(&mut self, first: usize, end: usize) -> (Bounds, Costs) {
         let here = self.cells.len();
         let [min, max] = self.bricks[first].bounds_root.map(DVec3::from_array);
-        self.cells.push(BinaryCell { first, end, bounds: Bounds { min, max }, right: 0, plan: Plan::default() });
+        self.cells.push(BinaryCell { first, bounds: Bounds { min, max }, right: 0, plan: Plan::default() });
         if end - first == 1 {
             // A brick costs the same wherever it hangs.
             return (self.cells[here].bounds, Costs::terminal(0.0));
