@@ -103,9 +103,11 @@ impl TopBuilder<'_> {
             return (self.cells[here].bounds, Costs::terminal(0.0));
         }
         let code = |brick: usize| self.bricks[brick].cell.code();
-        let bit = (code(first) ^ code(end - 1)).checked_ilog2().unwrap_or(0);
-        let low = self.bricks[first..end].partition_point(|brick| brick.cell.code() >> bit & 1 == 0);
-        let middle = first + low;
+        let middle = match (code(first) ^ code(end - 1)).checked_ilog2() {
+            Some(bit) => first + self.bricks[first..end].partition_point(|brick| brick.cell.code() >> bit & 1 == 0),
+            // Bricks of one and the same cell.
+            None => (first + end) / 2,
+        };
         let (left, left_costs) = self.halve(first, middle);
         self.cells[here].right = self.cells.len() - here;
         let (right, right_costs) = self.halve(middle, end);
@@ -186,6 +188,18 @@ mod tests {
         let inside = Bounds { min: DVec3::splat(0.01), max: DVec3::splat(0.99) };
         let bounds = Bounds { min: min + reach, max: max + reach }.clipped_to(inside);
         TopBrick { cell, bounds_root: bounds.corners() }
+    }
+
+    #[test]
+    fn bricks_of_one_cell_lie_side_by_side() {
+        let cell = |octants: &[usize]| octants.iter().fold(Cell::ROOT, |cell, &octant| cell.child(octant));
+        for count in [2, 8, 9, 65, 700] {
+            let mut bricks = vec![brick(cell(&[0; 21]))];
+            bricks.extend((0..count).map(|_| brick(cell(&[3; 21]))));
+            bricks.push(brick(cell(&[3, 4])));
+            check(&bricks);
+            check(&bricks[1..=count]);
+        }
     }
 
     /// Cells of an octree, in Morton order: `splits` says at each turn which leaf to split, and which octants live on.
