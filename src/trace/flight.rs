@@ -219,8 +219,8 @@ fn step<'a, K: Kernel, C: Collector<'a>>(
         }
         *index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
         kernel.child(frame, node, slot, &sight.setup.way)
-    } else if byte & 0xc0 == BRICK && view.page.is_none() {
-        let number = node.first_leaf.wrapping_add(u32::from(byte & 7));
+    } else if byte & BRICK == BRICK && view.page.is_none() {
+        let number = node.first_leaf.wrapping_add(u32::from(byte & 0x3f));
         let Some(brick) = file.brick(number) else { return Ok(true) };
         if *left != 0 {
             *top = keep(kernel, stack, *top, (frame, near), [*index, TOP, *left]);

@@ -201,8 +201,8 @@ impl<'a> File<'a> {
                 }
                 frame = kernel.child(frame, node, slot, &sight.setup.way);
                 index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
-            } else if byte & 0xc0 == BRICK && view.page.is_none() {
-                let number = node.first_leaf.wrapping_add(u32::from(byte & 7));
+            } else if byte & BRICK == BRICK && view.page.is_none() {
+                let number = node.first_leaf.wrapping_add(u32::from(byte & 0x3f));
                 let Some(brick) = self.brick(number) else { continue };
                 if left != 0 {
                     top = keep(kernel, stack, top, (frame, near), [index, view.number, left]);
