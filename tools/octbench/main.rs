@@ -8,9 +8,11 @@ mod bench;
 #[path = "../cli/mod.rs"]
 mod cli;
 mod families;
+mod machine;
 mod oracle;
 mod planet;
 mod random;
+mod speed;
 mod tradeoff;
 mod yardstick;
 
@@ -45,6 +47,7 @@ Examples:
   octbench accuracy --rays 1e6 --stats accuracy.json
   octbench accuracy --model bunny.obj --rays 1e6
   octbench closed --rays 1e7
+  octbench speed bunny.oct --view bunny-over
   octbench tradeoff --model bunny.obj -o tradeoff
   octbench mesh -n 1e6 -o planet.obj
 ";
@@ -57,6 +60,8 @@ enum Command {
     Replay(Replay),
     /// Count crossings of a closed mesh, which must be even, and escapes from inside
     Closed(Closed),
+    /// Rays per second by kernel, what a ray costs, and how other tracers do on the same rays
+    Speed(speed::Options),
     /// Speed against error: this tracer and naive ones, on the same rays
     Tradeoff(tradeoff::Options),
     /// Write a closed planet as OBJ
@@ -146,6 +151,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Command::Accuracy(options) => run_accuracy(options, session),
         Command::Replay(options) => run_replay(options, session),
         Command::Closed(options) => run_closed(options, session),
+        Command::Speed(options) => speed::run(options, session),
         Command::Tradeoff(options) => tradeoff::run(options, session).map(|()| ExitCode::SUCCESS),
         Command::Mesh(options) => write_mesh(options, session).map(|()| ExitCode::SUCCESS),
     }

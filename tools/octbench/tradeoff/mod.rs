@@ -5,7 +5,7 @@
 
 mod plot;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -16,7 +16,7 @@ use octrace::{Error, Result};
 use serde::Serialize;
 
 use crate::accuracy::judge::ulps;
-use crate::bench::{load, octree};
+use crate::bench::{load, octree, records};
 use crate::cli::Session;
 use crate::cli::args::StatsFile;
 use crate::cli::output::{print, write_whole};
@@ -184,18 +184,6 @@ fn aimed(mesh: &Mesh, rays: u64, seed: u64) -> Vec<Ray> {
             Ray::new(o, toward(o, maker.target(mesh)))
         })
         .collect()
-}
-
-/// A file of fixed records.
-fn records<T: bytemuck::Pod>(path: &Path) -> Result<Vec<T>> {
-    let bytes = std::fs::read(path).map_err(Error::io(path, "open"))?;
-    if bytes.len() % size_of::<T>() != 0 {
-        let what = format!("{} bytes are no whole number of records of {}", bytes.len(), size_of::<T>());
-        return Err(Error::Input { file: path.to_owned(), what });
-    }
-    let mut list = vec![T::zeroed(); bytes.len() / size_of::<T>()];
-    bytemuck::cast_slice_mut(&mut list).copy_from_slice(&bytes);
-    Ok(list)
 }
 
 fn show(rows: &[Row], options: &Options) -> Result<()> {

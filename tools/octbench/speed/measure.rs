@@ -1,0 +1,178 @@
+//! Rounds: everything that is compared traces the same rays in turn, so that what slows the machine slows all alike.
+
+use std::path::Path;
+use std::time::Instant;
+
+use octrace::geometry::Hit;
+use octrace::map::Octree;
+use octrace::trace::{Counters, Isa, OctreeTracer};
+use octrace::{Error, Monitor, Result};
+use rayon::ThreadPool;
+
+use super::kernels::{Kernel, Measured};
+use super::peer::Peer;
+use super::sets::{Question, RaySet};
+
+/// One of our own ways to trace: a kernel, an instruction set, a number of threads.
+pub struct Own<'a> {
+    /// The kernel.
+    pub kernel: &'static Kernel,
+    /// The tracer, which knows the instruction set.
+    pub tracer: Measured<'a>,
+    /// Threads.
+    pub pool: &'a ThreadPool,
+}
+
+impl<'a> Own<'a> {
+    /// A way to trace a file.
+    pub fn new(octree: &'a Octree, kernel: &'static Kernel, isa: Isa, pool: &'a ThreadPool) -> Own<'a> {
+        Own { kernel, tracer: OctreeTracer::new(octree).with_isa(isa), pool }
+    }
+
+    /// Whether it can answer such a question.
+    pub fn can(&self, question: Question) -> bool {
+        match question {
+            Question::Closest => self.kernel.closest.is_some(),
+            Question::Any => self.kernel.any.is_some(),
+        }
+    }
+
+    /// Traces all rays once; the seconds that took, and the work.
+    fn round(&self, set: &RaySet, answers: &mut Answers) -> Result<(f64, Counters)> {
+        let Own { kernel, tracer, pool } = self;
+        pool.install(|| {
+            let started = Instant::now();
+            let work = match (answers, kernel.closest, kernel.any) {
+                (Answers::Hits(hits), Some(closest), _) => closest(tracer, &set.rays, hits)?,
+                (Answers::Blocked(blocked), _, Some(any)) => any(tracer, &set.rays, blocked)?,
+                _ => unreachable!("only kernels that can answer are asked"),
+            };
+            Ok((started.elapsed().as_secs_f64(), work))
+        })
+    }
+}
+
+/// Answers of a set.
+#[derive(Clone, PartialEq)]
+enum Answers {
+    Hits(Vec<Hit>),
+    Blocked(Vec<bool>),
+}
+
+impl Answers {
+    fn room(set: &RaySet) -> Answers {
+        match set.question {
+            Question::Closest => Answers::Hits(vec![Hit::MISS; set.rays.len()]),
+            Question::Any => Answers::Blocked(vec![false; set.rays.len()]),
+        }
+    }
+
+    fn hits(&self) -> u64 {
+        match self {
+            Answers::Hits(list) => list.iter().filter(|h| h.is_hit()).count() as u64,
+            Answers::Blocked(list) => list.iter().filter(|b| **b).count() as u64,
+        }
+    }
+}
+
+/// How one contender did on one set.
+#[derive(Clone, Debug, Default)]
+pub struct Times {
+    /// Seconds of each round.
+    pub seconds: Vec<f64>,
+    /// Rays that hit something.
+    pub hits: u64,
+    /// Work done in one round; nothing is known of peers.
+    pub work: Counters,
+}
+
+/// What a set gave: times of our own ways that can answer (with their numbers), times of peers by thread count.
+pub struct Outcome {
+    /// Number of the way, and its times.
+    pub own: Vec<(usize, Times)>,
+    /// Peer number, threads, and its times.
+    pub peers: Vec<(usize, usize, Times)>,
+    /// Exact ways whose answers are not those of the first, bit for bit: their numbers.
+    pub differing: Vec<usize>,
+}
+
+/// Measures one set: a round of each that is not timed, then `rounds` rounds in turn.
+pub fn measure(
+    set: &RaySet,
+    file: Option<&Path>,
+    ways: &[Own<'_>],
+    peers: &mut [Peer],
+    threads: &[usize],
+    rounds: u32,
+    monitor: Monitor<'_>,
+) -> Result<Outcome> {
+    let mut answers = Answers::room(set);
+    let mut first: Option<Answers> = None;
+    let mut out = Outcome { own: vec![], peers: vec![], differing: vec![] };
+    for (number, way) in ways.iter().enumerate().filter(|(_, way)| way.can(set.question)) {
+        let (_, work) = way.round(set, &mut answers)?;
+        out.own.push((number, Times { seconds: vec![], hits: answers.hits(), work }));
+        if way.kernel.float_of.is_none() && first.get_or_insert_with(|| answers.clone()) != &answers {
+            out.differing.push(number);
+        }
+        monitor.check()?;
+    }
+    drop(first);
+    let rays = || file.ok_or_else(|| Error::Option("a peer needs a file of rays".to_owned()));
+    for (number, peer) in peers.iter_mut().enumerate() {
+        for &n in threads {
+            let hits = peer.round(set.question, n, rays()?)?.hits;
+            out.peers.push((number, n, Times { hits, ..Times::default() }));
+        }
+    }
+    for _ in 0..rounds {
+        for (number, times) in &mut out.own {
+            times.seconds.push(ways[*number].round(set, &mut answers)?.0);
+            monitor.check()?;
+        }
+        for (number, n, times) in &mut out.peers {
+            times.seconds.push(peers[*number].round(set.question, *n, rays()?)?.seconds);
+            monitor.check()?;
+        }
+    }
+    Ok(out)
+}
+
+/// The median; of an even number of values the mean of the middle two; 0 of none.
+pub fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    match values.len() {
+        0 => 0.0,
+        n if n % 2 == 1 => values[n / 2],
+        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
+    }
+}
+
+/// How many times as fast `a` was as `b`: the median over rounds of what each round gave.
+pub fn ratio(a: &Times, b: &Times) -> f64 {
+    median(a.seconds.iter().zip(&b.seconds).map(|(a, b)| b / a).collect())
+}
+
+/// The geometric mean of positive numbers; 1 of none.
+pub fn geometric_mean(values: &[f64]) -> f64 {
+    (values.iter().map(|x| x.ln()).sum::<f64>() / values.len().max(1) as f64).exp()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn times(seconds: &[f64]) -> Times {
+        Times { seconds: seconds.to_vec(), ..Times::default() }
+    }
+
+    #[test]
+    fn medians_ratios_and_means() {
+        assert_eq!(median(vec![]), 0.0);
+        assert_eq!(median(vec![3.0, 1.0, 2.0]), 2.0);
+        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), 2.5);
+        // Rounds are compared in pairs: a round in which the machine was slow for both counts like the others.
+        assert_eq!(ratio(&times(&[1.0, 10.0, 2.0]), &times(&[2.0, 20.0, 4.0])), 2.0);
+        assert!((geometric_mean(&[0.5, 2.0, 8.0]) - 2.0).abs() < 1e-12);
+    }
+}

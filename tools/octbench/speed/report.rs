@@ -1,0 +1,364 @@
+//! What is told: a table, Markdown, JSON.
+
+use std::fmt::Write as _;
+
+use octrace::map::Octree;
+use octrace::trace::Counters;
+use octrace::{Monitor, Result};
+use serde::Serialize;
+
+use super::measure::{Outcome, Own, Times, geometric_mean, median, ratio};
+use super::peer::Peer;
+use super::sets::{Question, RaySet};
+use crate::machine::Machine;
+
+/// Everything that was found out.
+#[derive(Serialize)]
+pub struct Report {
+    schema: u32,
+    model: String,
+    triangles: u64,
+    bytes: u64,
+    bytes_per_triangle: f64,
+    /// Bytes a triangle, by part.
+    by_part: Parts,
+    machine: Machine,
+    rounds: u32,
+    peers: Vec<String>,
+    sets: Vec<Set>,
+    /// Geometric means over the sets.
+    means: Vec<Mean>,
+    /// What exactness costs: geometric means over the sets.
+    costs: Vec<Cost>,
+    /// Sets and kernels whose answers were not those of the first exact kernel.
+    pub differing: u64,
+}
+
+#[derive(Serialize)]
+struct Parts {
+    nodes: f64,
+    leaf_vertices: f64,
+    leaf_corners: f64,
+    ids: f64,
+    attributes: f64,
+    rest: f64,
+}
+
+#[derive(Serialize)]
+struct Set {
+    set: String,
+    question: Question,
+    rays: u64,
+    kernels: Vec<Row>,
+    peers: Vec<PeerRow>,
+}
+
+/// One kernel on one set.
+#[derive(Serialize)]
+struct Row {
+    kernel: &'static str,
+    isa: &'static str,
+    threads: usize,
+    hits: u64,
+    seconds: Vec<f64>,
+    mrays_per_second: f64,
+    nodes_per_ray: f64,
+    leaves_per_ray: f64,
+    triangles_per_ray: f64,
+    pages_per_ray: f64,
+    doubts_per_ray: f64,
+    exact_per_ray: f64,
+    /// How many times as fast as each peer with as many threads.
+    ratios: Vec<f64>,
+    /// By how much slower than the float kernel that does the same, in percent.
+    cost_percent: Option<f64>,
+    /// Exact, but with other answers than the first exact kernel.
+    differs: bool,
+}
+
+#[derive(Serialize)]
+struct PeerRow {
+    peer: usize,
+    threads: usize,
+    hits: u64,
+    seconds: Vec<f64>,
+    mrays_per_second: f64,
+}
+
+/// A kernel against a peer, over all sets.
+#[derive(Serialize)]
+struct Mean {
+    kernel: &'static str,
+    isa: &'static str,
+    threads: usize,
+    peer: usize,
+    sets: usize,
+    geometric_mean: f64,
+    least: f64,
+    least_set: String,
+}
+
+/// An exact kernel against the float kernel that does the same, over all sets.
+#[derive(Serialize)]
+struct Cost {
+    kernel: &'static str,
+    isa: &'static str,
+    threads: usize,
+    sets: usize,
+    percent: f64,
+}
+
+impl Report {
+    /// A report without sets; reads the whole file to tell what its bytes are spent on.
+    pub fn new(octree: &Octree, rounds: u32, peers: &[Peer], monitor: Monitor<'_>) -> Result<Report> {
+        let (h, p) = (octree.header(), octree.parts(monitor)?);
+        let each = |bytes: u64| bytes as f64 / h.triangles.max(1) as f64;
+        Ok(Report {
+            schema: crate::cli::stats::SCHEMA,
+            model: octree.path().file_name().unwrap_or_default().to_string_lossy().into_owned(),
+            triangles: h.triangles,
+            bytes: h.file_bytes,
+            bytes_per_triangle: each(h.file_bytes),
+            by_part: Parts {
+                nodes: each(p.nodes),
+                leaf_vertices: each(p.leaf_vertices),
+                leaf_corners: each(p.leaf_corners),
+                ids: each(p.ids),
+                attributes: each(p.materials + p.normals + p.texcoords),
+                rest: each(p.header + p.top + p.page_headers + p.padding),
+            },
+            machine: Machine::here(),
+            rounds,
+            peers: peers.iter().map(|p| p.name.clone()).collect(),
+            sets: vec![],
+            means: vec![],
+            costs: vec![],
+            differing: 0,
+        })
+    }
+
+    /// Adds what a set gave.
+    pub fn add(&mut self, set: &RaySet, ways: &[Own<'_>], peers: &[Peer], outcome: &Outcome) {
+        let rays = set.rays.len() as u64;
+        let mut kernels = Vec::new();
+        for (number, times) in &outcome.own {
+            let way = &ways[*number];
+            let threads = way.pool.current_num_threads();
+            let of_peer = |peer: usize| {
+                let same = |p: &&(usize, usize, Times)| (p.0, p.1) == (peer, threads);
+                outcome.peers.iter().find(same).map(|p| ratio(times, &p.2))
+            };
+            let float = outcome.own.iter().find(|(other, _)| {
+                let other = &ways[*other];
+                other.kernel.float_of == Some(way.kernel.name)
+                    && (other.tracer.isa(), other.pool.current_num_threads()) == (way.tracer.isa(), threads)
+            });
+            let mut row = Row::new(way, rays, times);
+            row.ratios = (0..peers.len()).filter_map(of_peer).collect();
+            row.cost_percent = float.map(|(_, float)| cost_percent(ratio(float, times)));
+            row.differs = outcome.differing.contains(number);
+            self.differing += u64::from(row.differs);
+            kernels.push(row);
+        }
+        let peer_row = |(peer, threads, times): &(usize, usize, Times)| PeerRow {
+            peer: *peer,
+            threads: *threads,
+            hits: times.hits,
+            mrays_per_second: mrays(rays, times),
+            seconds: times.seconds.clone(),
+        };
+        let peers = outcome.peers.iter().map(peer_row).collect();
+        self.sets.push(Set { set: set.name.clone(), question: set.question, rays, kernels, peers });
+    }
+
+    /// Adds up all sets.
+    pub fn finish(&mut self) {
+        let mut ways: Vec<_> = self.sets.iter().flat_map(|s| s.kernels.iter().map(Row::way)).collect();
+        let mut seen = Vec::new();
+        ways.retain(|way| {
+            !seen.contains(way) && {
+                seen.push(*way);
+                true
+            }
+        });
+        for way @ (kernel, isa, threads) in ways {
+            let rows =
+                || self.sets.iter().flat_map(|s| s.kernels.iter().map(move |k| (s, k))).filter(|(_, k)| k.way() == way);
+            for peer in 0..self.peers.len() {
+                let ratios: Vec<_> = rows().filter_map(|(s, k)| Some((&s.set, *k.ratios.get(peer)?))).collect();
+                let Some((set, least)) = ratios.iter().copied().min_by(|a, b| a.1.total_cmp(&b.1)) else { continue };
+                let values: Vec<f64> = ratios.iter().map(|r| r.1).collect();
+                let geometric_mean = geometric_mean(&values);
+                let (sets, least_set) = (ratios.len(), set.clone());
+                self.means.push(Mean { kernel, isa, threads, peer, sets, geometric_mean, least, least_set });
+            }
+            let costs: Vec<f64> = rows().filter_map(|(_, k)| k.cost_percent).collect();
+            if !costs.is_empty() {
+                let slowdowns: Vec<f64> = costs.iter().map(|c| 1.0 / (1.0 - c / 100.0)).collect();
+                let percent = cost_percent(geometric_mean(&slowdowns));
+                self.costs.push(Cost { kernel, isa, threads, sets: costs.len(), percent });
+            }
+        }
+    }
+
+    /// As a table for people.
+    pub fn table(&self) -> String {
+        let p = &self.by_part;
+        let mut t = format!(
+            "{}: {} triangles, {:.2} bytes each (nodes {:.2}, leaf vertices {:.2}, leaf corners {:.2}, ids {:.2}, \
+             attributes {:.2}, rest {:.2})\n{}; medians of {} rounds in turn\n",
+            self.model,
+            self.triangles,
+            self.bytes_per_triangle,
+            p.nodes,
+            p.leaf_vertices,
+            p.leaf_corners,
+            p.ids,
+            p.attributes,
+            p.rest,
+            self.machine,
+            self.rounds
+        );
+        for set in &self.sets {
+            let _ = writeln!(t, "\n{}: {} rays, {}", set.set, set.rays, set.question.name());
+            for row in &set.kernels {
+                let _ = writeln!(t, "  {}", self.line(row));
+            }
+            for peer in &set.peers {
+                let what = format!("{}, {}", self.peers[peer.peer], threads(peer.threads));
+                let _ = writeln!(t, "  {what:28} {:8.3} Mrays/s  {} hit", peer.mrays_per_second, peer.hits);
+            }
+        }
+        t.push('\n');
+        t + &self.summary().iter().map(|line| format!("{line}\n")).collect::<String>()
+    }
+
+    fn line(&self, row: &Row) -> String {
+        let mut line = format!(
+            "{:28} {:8.3} Mrays/s  {} hit; a ray: {:.2} nodes, {:.2} leaves, {:.1} triangles, {:.2} pages, {:.4} doubts",
+            format!("{} {}, {}", row.kernel, row.isa, threads(row.threads)),
+            row.mrays_per_second,
+            row.hits,
+            row.nodes_per_ray,
+            row.leaves_per_ray,
+            row.triangles_per_ray,
+            row.pages_per_ray,
+            row.doubts_per_ray
+        );
+        for (name, ratio) in self.peers.iter().zip(&row.ratios) {
+            let _ = write!(line, "; {ratio:.3} x {name}");
+        }
+        if let Some(cost) = row.cost_percent {
+            let _ = write!(line, "; exactness costs {cost:.1} %");
+        }
+        if row.differs {
+            line += "; ANSWERS DIFFER from the first kernel's";
+        }
+        line
+    }
+
+    /// Geometric means and costs, a line each.
+    fn summary(&self) -> Vec<String> {
+        let mean = |m: &Mean| {
+            format!(
+                "{} {}, {}: {:.3} x {} (geometric mean of {} sets; least {:.3}, {})",
+                m.kernel,
+                m.isa,
+                threads(m.threads),
+                m.geometric_mean,
+                self.peers[m.peer],
+                m.sets,
+                m.least,
+                m.least_set
+            )
+        };
+        let cost = |c: &Cost| {
+            let way = format!("{} {}, {}", c.kernel, c.isa, threads(c.threads));
+            format!("{way}: exactness costs {:.1} % (geometric mean of {} sets)", c.percent, c.sets)
+        };
+        self.means.iter().map(mean).chain(self.costs.iter().map(cost)).collect()
+    }
+
+    /// As Markdown: a row for each set and kernel.
+    pub fn markdown(&self) -> String {
+        let mut t = format!(
+            "`{}`: {} triangles, {:.2} bytes each. {}; medians of {} rounds in turn.\n\n",
+            self.model, self.triangles, self.bytes_per_triangle, self.machine, self.rounds
+        );
+        let has_cost = !self.costs.is_empty();
+        t += "| rays | kernel | Mrays/s | nodes | leaves | triangles | pages |";
+        for peer in &self.peers {
+            let _ = write!(t, " x {peer} |");
+        }
+        t += if has_cost { " cost |\n" } else { "\n" };
+        t += "| --- | --- | ---: | ---: | ---: | ---: | ---: |";
+        t += &" ---: |".repeat(self.peers.len() + usize::from(has_cost));
+        t.push('\n');
+        for (set, row) in self.sets.iter().flat_map(|s| s.kernels.iter().map(move |k| (s, k))) {
+            let _ = write!(
+                t,
+                "| {} | {} {}, {} | {:.2} | {:.2} | {:.2} | {:.1} | {:.2} |",
+                set.set,
+                row.kernel,
+                row.isa,
+                threads(row.threads),
+                row.mrays_per_second,
+                row.nodes_per_ray,
+                row.leaves_per_ray,
+                row.triangles_per_ray,
+                row.pages_per_ray
+            );
+            for ratio in &row.ratios {
+                let _ = write!(t, " {ratio:.2} |");
+            }
+            if has_cost {
+                t += &row.cost_percent.map_or(" |".to_owned(), |c| format!(" {c:.1} % |"));
+            }
+            t.push('\n');
+        }
+        t.push('\n');
+        t + &self.summary().iter().map(|line| format!("- {line}\n")).collect::<String>()
+    }
+}
+
+impl Row {
+    fn new(way: &Own<'_>, rays: u64, times: &Times) -> Row {
+        let Counters { nodes, leaves, triangles, bricks, doubts, exact, .. } = times.work;
+        let each = |n: u64| n as f64 / rays.max(1) as f64;
+        Row {
+            kernel: way.kernel.name,
+            isa: way.tracer.isa().name(),
+            threads: way.pool.current_num_threads(),
+            hits: times.hits,
+            mrays_per_second: mrays(rays, times),
+            seconds: times.seconds.clone(),
+            nodes_per_ray: each(nodes),
+            leaves_per_ray: each(leaves),
+            triangles_per_ray: each(triangles),
+            pages_per_ray: each(bricks),
+            doubts_per_ray: each(doubts),
+            exact_per_ray: each(exact),
+            ratios: vec![],
+            cost_percent: None,
+            differs: false,
+        }
+    }
+
+    fn way(&self) -> (&'static str, &'static str, usize) {
+        (self.kernel, self.isa, self.threads)
+    }
+}
+
+/// The share of speed that is lost, in percent, where the float kernel is `slowdown` times as fast as the exact one.
+fn cost_percent(slowdown: f64) -> f64 {
+    100.0 * (1.0 - 1.0 / slowdown)
+}
+
+/// Million rays a second: the median over the rounds.
+fn mrays(rays: u64, times: &Times) -> f64 {
+    rays as f64 * 1e-6 / median(times.seconds.clone()).max(1e-12)
+}
+
+fn threads(n: usize) -> String {
+    if n == 1 { "1 thread".to_owned() } else { format!("{n} threads") }
+}
