@@ -56,6 +56,7 @@
 #include <vector>
 
 using Clock = std::chrono::steady_clock;
+static double cpuSeconds() { timespec t; clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t); return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec; }
 static double since(Clock::time_point t) { return std::chrono::duration<double>(Clock::now() - t).count(); }
 static long statusKb(const char* key) {
   FILE* f = fopen("/proc/self/status", "r"); char l[256]; long v = -1;
@@ -283,7 +284,7 @@ static void sixteen(const Ray8* r, size_t n, bool any, Hit16* hits, uint8_t* blo
   }
 }
 // Requests are lines "closest|any THREADS PATH" of a file of rays; each is traced once and answered with a line of JSON: the
-// seconds of tracing alone, and how many rays hit. The rays of the last path are kept, so that repeats read nothing.
+// seconds of tracing alone, those of the processor, and how many rays hit. The rays of the last path are kept, so that repeats read nothing.
 static int serve(const char* name, bool packet) {
   printf("{\"peer\":\"%s\"}\n", name); fflush(stdout);
   std::vector<Ray8> rays; std::vector<Hit16> hits; std::vector<uint8_t> blocked; std::string kept; char line[4096 + 64], path[4097], what[16]; int T = 0;
@@ -291,13 +292,14 @@ static int serve(const char* name, bool packet) {
     if (sscanf(line, "%15s %d %4096[^\n]", what, &T, path) != 3 || T < 1 || T > 1024) { fprintf(stderr, "not a request: %s", line); return 2; }
     bool any = !strcmp(what, "any"); if (!any && strcmp(what, "closest")) { fprintf(stderr, "not a request: %s", line); return 2; }
     if (kept != path) { if (!readRays(path, rays)) return 1; kept = path; hits.assign(rays.size(), {}); blocked.assign(rays.size(), 0); }
-    double s = parallel(rays.size(), T, [&](size_t b, size_t e) {
+    double c = cpuSeconds(), s = parallel(rays.size(), T, [&](size_t b, size_t e) {
       if (packet) for (; b < e; b += 16) sixteen(&rays[b], std::min<size_t>(16, e - b), any, &hits[b], &blocked[b]);
       else if (any) for (; b < e; b++) blocked[b] = any1(rays[b]);
       else for (; b < e; b++) hits[b] = closest1(rays[b]);
     });
+    c = cpuSeconds() - c;
     size_t count = 0; if (any) for (uint8_t x : blocked) count += x; else for (auto& h : hits) count += h.prim != ~0u;
-    printf("{\"round\":%.9f,\"hits\":%zu}\n", s, count); fflush(stdout);
+    printf("{\"round\":%.9f,\"cpu\":%.9f,\"hits\":%zu}\n", s, c, count); fflush(stdout);
   }
   return 0;
 }

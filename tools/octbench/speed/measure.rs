@@ -8,10 +8,34 @@ use octrace::map::Octree;
 use octrace::trace::{Counters, Isa, OctreeTracer};
 use octrace::{Error, Monitor, Result};
 use rayon::ThreadPool;
+use serde::Serialize;
 
 use super::kernels::{Kernel, Measured};
 use super::peer::Peer;
 use super::sets::{Question, RaySet};
+use crate::cli::stats::cpu_seconds;
+
+/// What is read before and after a round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum Clock {
+    /// The time that passed
+    Wall,
+    /// The processor's time, for one thread on a machine that others work on
+    Cpu,
+}
+
+/// How to measure.
+pub struct Rounds<'a> {
+    /// Rounds that are timed.
+    pub count: u32,
+    /// Numbers of threads that peers are asked to use.
+    pub threads: &'a [usize],
+    /// What is read.
+    pub clock: Clock,
+    /// Tells when to stop.
+    pub monitor: Monitor<'a>,
+}
 
 /// One of our own ways to trace: a kernel, an instruction set, a number of threads.
 pub struct Own<'a> {
@@ -38,16 +62,20 @@ impl<'a> Own<'a> {
     }
 
     /// Traces all rays once; the seconds that took, and the work.
-    fn round(&self, set: &RaySet, answers: &mut Answers) -> Result<(f64, Counters)> {
+    fn round(&self, set: &RaySet, clock: Clock, answers: &mut Answers) -> Result<(f64, Counters)> {
         let Own { kernel, tracer, pool } = self;
         pool.install(|| {
-            let started = Instant::now();
+            let (started, used) = (Instant::now(), cpu_seconds());
             let work = match (answers, kernel.closest, kernel.any) {
                 (Answers::Hits(hits), Some(closest), _) => closest(tracer, &set.rays, hits)?,
                 (Answers::Blocked(blocked), _, Some(any)) => any(tracer, &set.rays, blocked)?,
                 _ => unreachable!("only kernels that can answer are asked"),
             };
-            Ok((started.elapsed().as_secs_f64(), work))
+            let seconds = match clock {
+                Clock::Wall => started.elapsed().as_secs_f64(),
+                Clock::Cpu => cpu_seconds() - used,
+            };
+            Ok((seconds, work))
         })
     }
 }
@@ -96,21 +124,20 @@ pub struct Outcome {
     pub differing: Vec<usize>,
 }
 
-/// Measures one set: a round of each that is not timed, then `rounds` rounds in turn.
+/// Measures one set: a round of each that is not timed, then rounds in turn.
 pub fn measure(
     set: &RaySet,
     file: Option<&Path>,
     ways: &[Own<'_>],
     peers: &mut [Peer],
-    threads: &[usize],
-    rounds: u32,
-    monitor: Monitor<'_>,
+    rounds: &Rounds<'_>,
 ) -> Result<Outcome> {
+    let Rounds { clock, monitor, .. } = *rounds;
     let mut answers = Answers::room(set);
     let mut first: Option<Answers> = None;
     let mut out = Outcome { own: vec![], peers: vec![], differing: vec![] };
     for (number, way) in ways.iter().enumerate().filter(|(_, way)| way.can(set.question)) {
-        let (_, work) = way.round(set, &mut answers)?;
+        let (_, work) = way.round(set, clock, &mut answers)?;
         out.own.push((number, Times { seconds: vec![], hits: answers.hits(), work }));
         if way.kernel.float_of.is_none() && first.get_or_insert_with(|| answers.clone()) != &answers {
             out.differing.push(number);
@@ -120,18 +147,18 @@ pub fn measure(
     drop(first);
     let rays = || file.ok_or_else(|| Error::Option("a peer needs a file of rays".to_owned()));
     for (number, peer) in peers.iter_mut().enumerate() {
-        for &n in threads {
+        for &n in rounds.threads {
             let hits = peer.round(set.question, n, rays()?)?.hits;
             out.peers.push((number, n, Times { hits, ..Times::default() }));
         }
     }
-    for _ in 0..rounds {
+    for _ in 0..rounds.count {
         for (number, times) in &mut out.own {
-            times.seconds.push(ways[*number].round(set, &mut answers)?.0);
+            times.seconds.push(ways[*number].round(set, clock, &mut answers)?.0);
             monitor.check()?;
         }
         for (number, n, times) in &mut out.peers {
-            times.seconds.push(peers[*number].round(set.question, *n, rays()?)?.seconds);
+            times.seconds.push(peers[*number].round(set.question, *n, rays()?)?.seconds(clock)?);
             monitor.check()?;
         }
     }

@@ -23,7 +23,7 @@ use crate::cli::args::{StatsFile, image_size, is_stdio};
 use crate::cli::output::{print, write_whole};
 use crate::cli::{CHECK_FAILED, Session};
 use kernels::{KERNELS, Kernel};
-use measure::Own;
+use measure::{Clock, Own, Rounds};
 use peer::Peer;
 use report::Report;
 use sets::{Kind, Question, RaySet};
@@ -69,6 +69,9 @@ pub struct Options {
     /// Rounds that are timed
     #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
+    /// What to read: the time that passed, or the processor's time for one thread on a machine that others work on
+    #[arg(long, value_enum, default_value = "wall")]
+    clock: Clock,
     /// A command that runs another tracer on the same rays, as tests/peers/README.md tells; may be repeated
     #[arg(long = "peer-command", value_name = "CMD")]
     peers: Vec<String>,
@@ -89,6 +92,9 @@ fn kernel(name: &str) -> std::result::Result<&'static Kernel, String> {
 /// Measures and reports. Exit code 1: exact kernels differ in their answers.
 pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
     let monitor = session.monitor();
+    if options.clock == Clock::Cpu && options.threads != [1] {
+        return Err(Error::Option("--clock cpu measures one thread; leave --threads out".to_owned()));
+    }
     let octree = Octree::open(&options.model)?;
     let isas = isas(&options.isa)?;
     let pools = options.threads.iter().map(|&n| pool(n)).collect::<Result<Vec<_>>>()?;
@@ -104,12 +110,13 @@ pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
     let files = RayFiles::new(options, &sets)?;
     monitor.phase("peers");
     let mut peers = options.peers.iter().map(|command| Peer::start(command)).collect::<Result<Vec<_>>>()?;
-    let mut report = Report::new(&octree, options.rounds, &peers, monitor)?;
+    let mut report = Report::new(&octree, options.rounds, options.clock, &peers, monitor)?;
+    let rounds = Rounds { count: options.rounds, threads: &threads, clock: options.clock, monitor };
     monitor.phase("trace");
     for (done, set) in sets.iter().enumerate() {
         monitor.progress(done as u64, Some(sets.len() as u64), "sets");
         let file = files.of(set);
-        let outcome = measure::measure(set, file.as_deref(), &ways, &mut peers, &threads, options.rounds, monitor)?;
+        let outcome = measure::measure(set, file.as_deref(), &ways, &mut peers, &rounds)?;
         octree.fault()?;
         report.add(set, &ways, &peers, &outcome);
     }

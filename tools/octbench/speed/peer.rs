@@ -2,8 +2,8 @@
 //!
 //! Once it is ready it prints a line of JSON with its name, `{"peer": "NAME"}`. Then it reads requests, a line each: `closest` or
 //! `any`, the number of threads, and the path of a file of rays (32 bytes each), with blanks between. It traces all rays once and
-//! prints a line of JSON, `{"round": SECONDS, "hits": N}`, with the seconds that tracing alone took. Other lines are passed over. It
-//! ends when its input does. `tests/peers/` has one for Embree.
+//! prints a line of JSON, `{"round": SECONDS, "cpu": SECONDS, "hits": N}`, with the seconds that tracing alone took and, if it knows
+//! that, the processor's. Other lines are passed over. It ends when its input does. `tests/peers/` has one for Embree.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -12,6 +12,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use octrace::{Error, Result};
 use serde::Deserialize;
 
+use super::measure::Clock;
 use super::sets::Question;
 
 /// The process.
@@ -35,9 +36,22 @@ struct Ready {
 pub struct Round {
     /// Seconds of tracing.
     #[serde(rename = "round")]
-    pub seconds: f64,
+    wall: f64,
+    /// Seconds of processor time.
+    cpu: Option<f64>,
     /// Rays that hit.
     pub hits: u64,
+}
+
+impl Round {
+    /// The seconds by a clock.
+    pub fn seconds(&self, clock: Clock) -> Result<f64> {
+        let seconds = match clock {
+            Clock::Wall => Some(self.wall),
+            Clock::Cpu => self.cpu,
+        };
+        seconds.ok_or_else(|| Error::Option("a peer does not tell its processor time; use --clock wall".to_owned()))
+    }
 }
 
 impl Peer {
@@ -65,7 +79,8 @@ impl Peer {
             return Err(self.failed("it ended and takes no more requests"));
         }
         let round: Round = self.reply()?;
-        if !(round.seconds.is_finite() && round.seconds > 0.0) {
+        let is_time = |t: f64| t.is_finite() && t > 0.0;
+        if !(is_time(round.wall) && round.cpu.is_none_or(is_time)) {
             return Err(self.failed("a round took no time"));
         }
         Ok(round)

@@ -7,7 +7,7 @@ use octrace::trace::Counters;
 use octrace::{Monitor, Result};
 use serde::Serialize;
 
-use super::measure::{Outcome, Own, Times, geometric_mean, median, ratio};
+use super::measure::{Clock, Outcome, Own, Times, geometric_mean, median, ratio};
 use super::peer::Peer;
 use super::sets::{Question, RaySet};
 use crate::machine::Machine;
@@ -24,6 +24,7 @@ pub struct Report {
     by_part: Parts,
     machine: Machine,
     rounds: u32,
+    clock: Clock,
     peers: Vec<String>,
     sets: Vec<Set>,
     /// Geometric means over the sets.
@@ -110,7 +111,7 @@ struct Cost {
 
 impl Report {
     /// A report without sets; reads the whole file to tell what its bytes are spent on.
-    pub fn new(octree: &Octree, rounds: u32, peers: &[Peer], monitor: Monitor<'_>) -> Result<Report> {
+    pub fn new(octree: &Octree, rounds: u32, clock: Clock, peers: &[Peer], monitor: Monitor<'_>) -> Result<Report> {
         let (h, p) = (octree.header(), octree.parts(monitor)?);
         let each = |bytes: u64| bytes as f64 / h.triangles.max(1) as f64;
         Ok(Report {
@@ -129,6 +130,7 @@ impl Report {
             },
             machine: Machine::here(),
             rounds,
+            clock,
             peers: peers.iter().map(|p| p.name.clone()).collect(),
             sets: vec![],
             means: vec![],
@@ -206,7 +208,7 @@ impl Report {
         let p = &self.by_part;
         let mut t = format!(
             "{}: {} triangles, {:.2} bytes each (nodes {:.2}, leaf vertices {:.2}, leaf corners {:.2}, ids {:.2}, \
-             attributes {:.2}, rest {:.2})\n{}; medians of {} rounds in turn\n",
+             attributes {:.2}, rest {:.2})\n{}; medians of {} rounds in turn{}\n",
             self.model,
             self.triangles,
             self.bytes_per_triangle,
@@ -217,7 +219,8 @@ impl Report {
             p.attributes,
             p.rest,
             self.machine,
-            self.rounds
+            self.rounds,
+            self.clock_note()
         );
         for set in &self.sets {
             let _ = writeln!(t, "\n{}: {} rays, {}", set.set, set.rays, set.question.name());
@@ -226,16 +229,23 @@ impl Report {
             }
             for peer in &set.peers {
                 let what = format!("{}, {}", self.peers[peer.peer], threads(peer.threads));
-                let _ = writeln!(t, "  {what:28} {:8.3} Mrays/s  {} hit", peer.mrays_per_second, peer.hits);
+                let _ = writeln!(t, "  {what:38} {:8.3} Mrays/s  {} hit", peer.mrays_per_second, peer.hits);
             }
         }
         t.push('\n');
         t + &self.summary().iter().map(|line| format!("{line}\n")).collect::<String>()
     }
 
+    fn clock_note(&self) -> &'static str {
+        match self.clock {
+            Clock::Wall => "",
+            Clock::Cpu => ", processor time",
+        }
+    }
+
     fn line(&self, row: &Row) -> String {
         let mut line = format!(
-            "{:28} {:8.3} Mrays/s  {} hit; a ray: {:.2} nodes, {:.2} leaves, {:.1} triangles, {:.2} pages, {:.4} doubts",
+            "{:38} {:8.3} Mrays/s  {} hit; a ray: {:.2} nodes, {:.2} leaves, {:.1} triangles, {:.2} pages, {:.4} doubts",
             format!("{} {}, {}", row.kernel, row.isa, threads(row.threads)),
             row.mrays_per_second,
             row.hits,
@@ -282,8 +292,13 @@ impl Report {
     /// As Markdown: a row for each set and kernel.
     pub fn markdown(&self) -> String {
         let mut t = format!(
-            "`{}`: {} triangles, {:.2} bytes each. {}; medians of {} rounds in turn.\n\n",
-            self.model, self.triangles, self.bytes_per_triangle, self.machine, self.rounds
+            "`{}`: {} triangles, {:.2} bytes each. {}; medians of {} rounds in turn{}.\n\n",
+            self.model,
+            self.triangles,
+            self.bytes_per_triangle,
+            self.machine,
+            self.rounds,
+            self.clock_note()
         );
         let has_cost = !self.costs.is_empty();
         t += "| rays | kernel | Mrays/s | nodes | leaves | triangles | pages |";
