@@ -285,10 +285,15 @@ static void sixteen(const Ray8* r, size_t n, bool any, Hit16* hits, uint8_t* blo
 }
 // Requests are lines "closest|any THREADS PATH" of a file of rays; each is traced once and answered with a line of JSON: the
 // seconds of tracing alone, those of the processor, and how many rays hit. The rays of the last path are kept, so that repeats read nothing.
+// "store PATH" writes the closest hits of the last round, 16 bytes each as with --hits.
 static int serve(const char* name, bool packet) {
   printf("{\"peer\":\"%s\"}\n", name); fflush(stdout);
   std::vector<Ray8> rays; std::vector<Hit16> hits; std::vector<uint8_t> blocked; std::string kept; char line[4096 + 64], path[4097], what[16]; int T = 0;
   while (fgets(line, sizeof line, stdin)) {
+    if (sscanf(line, "store %4096[^\n]", path) == 1) {
+      FILE* f = fopen(path, "wb"); bool ok = f && fwrite(hits.data(), sizeof(Hit16), hits.size(), f) == hits.size(); if (!f || fclose(f) || !ok) { perror(path); return 1; }
+      printf("{\"stored\":%zu}\n", hits.size()); fflush(stdout); continue;
+    }
     if (sscanf(line, "%15s %d %4096[^\n]", what, &T, path) != 3 || T < 1 || T > 1024) { fprintf(stderr, "not a request: %s", line); return 2; }
     bool any = !strcmp(what, "any"); if (!any && strcmp(what, "closest")) { fprintf(stderr, "not a request: %s", line); return 2; }
     if (kept != path) { if (!readRays(path, rays)) return 1; kept = path; hits.assign(rays.size(), {}); blocked.assign(rays.size(), 0); }

@@ -13,6 +13,7 @@ mod oracle;
 mod planet;
 mod random;
 mod speed;
+mod timing;
 mod tradeoff;
 mod yardstick;
 
@@ -152,7 +153,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Command::Replay(options) => run_replay(options, session),
         Command::Closed(options) => run_closed(options, session),
         Command::Speed(options) => speed::run(options, session),
-        Command::Tradeoff(options) => tradeoff::run(options, session).map(|()| ExitCode::SUCCESS),
+        Command::Tradeoff(options) => tradeoff::run(options, session),
         Command::Mesh(options) => write_mesh(options, session).map(|()| ExitCode::SUCCESS),
     }
 }

@@ -29,3 +29,11 @@ pub const KERNELS: &[Kernel] = &[Kernel {
     closest: Some(|tracer, rays, hits| tracer.closest_batch(rays, hits)),
     any: Some(|tracer, rays, blocked| tracer.any_batch(rays, blocked)),
 }];
+
+/// The kernel of a name.
+pub fn named(name: &str) -> std::result::Result<&'static Kernel, String> {
+    KERNELS.iter().find(|k| k.name == name).ok_or_else(|| {
+        let names: Vec<_> = KERNELS.iter().map(|k| k.name).collect();
+        format!("the kernels are {}", names.join(", "))
+    })
+}

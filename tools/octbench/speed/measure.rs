@@ -1,29 +1,17 @@
 //! Rounds: everything that is compared traces the same rays in turn, so that what slows the machine slows all alike.
 
 use std::path::Path;
-use std::time::Instant;
 
 use octrace::geometry::Hit;
 use octrace::map::Octree;
 use octrace::trace::{Counters, Isa, OctreeTracer};
 use octrace::{Error, Monitor, Result};
 use rayon::ThreadPool;
-use serde::Serialize;
 
 use super::kernels::{Kernel, Measured};
 use super::peer::Peer;
 use super::sets::{Question, RaySet};
-use crate::cli::stats::cpu_seconds;
-
-/// What is read before and after a round.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, clap::ValueEnum)]
-#[serde(rename_all = "lowercase")]
-pub enum Clock {
-    /// The time that passed
-    Wall,
-    /// The processor's time, for one thread on a machine that others work on
-    Cpu,
-}
+use crate::timing::Clock;
 
 /// How to measure.
 pub struct Rounds<'a> {
@@ -65,17 +53,11 @@ impl<'a> Own<'a> {
     fn round(&self, set: &RaySet, clock: Clock, answers: &mut Answers) -> Result<(f64, Counters)> {
         let Own { kernel, tracer, pool } = self;
         pool.install(|| {
-            let (started, used) = (Instant::now(), cpu_seconds());
-            let work = match (answers, kernel.closest, kernel.any) {
-                (Answers::Hits(hits), Some(closest), _) => closest(tracer, &set.rays, hits)?,
-                (Answers::Blocked(blocked), _, Some(any)) => any(tracer, &set.rays, blocked)?,
+            clock.time(|| match (answers, kernel.closest, kernel.any) {
+                (Answers::Hits(hits), Some(closest), _) => closest(tracer, &set.rays, hits),
+                (Answers::Blocked(blocked), _, Some(any)) => any(tracer, &set.rays, blocked),
                 _ => unreachable!("only kernels that can answer are asked"),
-            };
-            let seconds = match clock {
-                Clock::Wall => started.elapsed().as_secs_f64(),
-                Clock::Cpu => cpu_seconds() - used,
-            };
-            Ok((seconds, work))
+            })
         })
     }
 }
@@ -163,43 +145,4 @@ pub fn measure(
         }
     }
     Ok(out)
-}
-
-/// The median; of an even number of values the mean of the middle two; 0 of none.
-pub fn median(mut values: Vec<f64>) -> f64 {
-    values.sort_by(f64::total_cmp);
-    match values.len() {
-        0 => 0.0,
-        n if n % 2 == 1 => values[n / 2],
-        n => 0.5 * (values[n / 2 - 1] + values[n / 2]),
-    }
-}
-
-/// How many times as fast `a` was as `b`: the median over rounds of what each round gave.
-pub fn ratio(a: &Times, b: &Times) -> f64 {
-    median(a.seconds.iter().zip(&b.seconds).map(|(a, b)| b / a).collect())
-}
-
-/// The geometric mean of positive numbers; 1 of none.
-pub fn geometric_mean(values: &[f64]) -> f64 {
-    (values.iter().map(|x| x.ln()).sum::<f64>() / values.len().max(1) as f64).exp()
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn times(seconds: &[f64]) -> Times {
-        Times { seconds: seconds.to_vec(), ..Times::default() }
-    }
-
-    #[test]
-    fn medians_ratios_and_means() {
-        assert_eq!(median(vec![]), 0.0);
-        assert_eq!(median(vec![3.0, 1.0, 2.0]), 2.0);
-        assert_eq!(median(vec![4.0, 1.0, 2.0, 3.0]), 2.5);
-        // Rounds are compared in pairs: a round in which the machine was slow for both counts like the others.
-        assert_eq!(ratio(&times(&[1.0, 10.0, 2.0]), &times(&[2.0, 20.0, 4.0])), 2.0);
-        assert!((geometric_mean(&[0.5, 2.0, 8.0]) - 2.0).abs() < 1e-12);
-    }
 }

@@ -4,12 +4,12 @@
 //! (`--peer-command`), traces a set in turn, round after round; only tracing is timed. Speeds are medians over the rounds, ratios
 //! are medians of the rounds' own ratios.
 
-mod kernels;
+pub mod kernels;
 mod measure;
-mod peer;
+pub mod peer;
 mod report;
-mod sets;
-mod view;
+pub mod sets;
+pub mod view;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -22,8 +22,9 @@ use rayon::ThreadPool;
 use crate::cli::args::{StatsFile, image_size, is_stdio};
 use crate::cli::output::{print, write_whole};
 use crate::cli::{CHECK_FAILED, Session};
+use crate::timing::Clock;
 use kernels::{KERNELS, Kernel};
-use measure::{Clock, Own, Rounds};
+use measure::{Own, Rounds};
 use peer::Peer;
 use report::Report;
 use sets::{Kind, Question, RaySet};
@@ -58,7 +59,7 @@ pub struct Options {
     #[arg(long, value_name = "DIR")]
     keep_rays: Option<PathBuf>,
     /// Kernels to measure [default: all]
-    #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = kernel)]
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = kernels::named)]
     kernels: Vec<&'static Kernel>,
     /// Instruction sets: auto, all, or of scalar, avx2 and avx512
     #[arg(long, value_name = "SET,..", default_value = "auto", value_delimiter = ',')]
@@ -80,13 +81,6 @@ pub struct Options {
     markdown: bool,
     #[command(flatten)]
     stats: StatsFile,
-}
-
-fn kernel(name: &str) -> std::result::Result<&'static Kernel, String> {
-    KERNELS.iter().find(|k| k.name == name).ok_or_else(|| {
-        let names: Vec<_> = KERNELS.iter().map(|k| k.name).collect();
-        format!("the kernels are {}", names.join(", "))
-    })
 }
 
 /// Measures and reports. Exit code 1: exact kernels differ in their answers.

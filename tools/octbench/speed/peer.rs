@@ -3,7 +3,8 @@
 //! Once it is ready it prints a line of JSON with its name, `{"peer": "NAME"}`. Then it reads requests, a line each: `closest` or
 //! `any`, the number of threads, and the path of a file of rays (32 bytes each), with blanks between. It traces all rays once and
 //! prints a line of JSON, `{"round": SECONDS, "cpu": SECONDS, "hits": N}`, with the seconds that tracing alone took and, if it knows
-//! that, the processor's. Other lines are passed over. It ends when its input does. `tests/peers/` has one for Embree.
+//! that, the processor's. Asked to `store` at a path it writes the closest hits of the last round there (16 bytes each) and prints
+//! `{"stored": N}`. Other lines are passed over. It ends when its input does. `tests/peers/` has one for Embree.
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::Path;
@@ -12,8 +13,8 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use octrace::{Error, Result};
 use serde::Deserialize;
 
-use super::measure::Clock;
 use super::sets::Question;
+use crate::timing::Clock;
 
 /// The process.
 pub struct Peer {
@@ -29,6 +30,13 @@ pub struct Peer {
 #[derive(Deserialize)]
 struct Ready {
     peer: String,
+}
+
+/// What it tells when it has written hits.
+#[derive(Deserialize)]
+struct Stored {
+    #[serde(rename = "stored")]
+    _count: u64,
 }
 
 /// What it tells of a round.
@@ -72,18 +80,27 @@ impl Peer {
 
     /// Has it trace a file of rays once.
     pub fn round(&mut self, question: Question, threads: usize, rays: &Path) -> Result<Round> {
-        let Some(requests) = &mut self.requests else { return Err(self.failed("it has ended")) };
-        let sent =
-            writeln!(requests, "{} {threads} {}", question.name(), rays.display()).and_then(|()| requests.flush());
-        if sent.is_err() {
-            return Err(self.failed("it ended and takes no more requests"));
-        }
+        self.request(&format!("{} {threads} {}", question.name(), rays.display()))?;
         let round: Round = self.reply()?;
         let is_time = |t: f64| t.is_finite() && t > 0.0;
         if !(is_time(round.wall) && round.cpu.is_none_or(is_time)) {
             return Err(self.failed("a round took no time"));
         }
         Ok(round)
+    }
+
+    /// Has it write the hits of the last round to a file, 16 bytes each.
+    pub fn store(&mut self, hits: &Path) -> Result<()> {
+        self.request(&format!("store {}", hits.display()))?;
+        self.reply::<Stored>().map(|_| ())
+    }
+
+    fn request(&mut self, line: &str) -> Result<()> {
+        let sent = self.requests.as_mut().map(|to| writeln!(to, "{line}").and_then(|()| to.flush()));
+        match sent {
+            Some(Ok(())) => Ok(()),
+            _ => Err(self.failed("it ended and takes no more requests")),
+        }
     }
 
     /// The next line of output that reads as `T`.

@@ -7,10 +7,11 @@ use octrace::trace::Counters;
 use octrace::{Monitor, Result};
 use serde::Serialize;
 
-use super::measure::{Clock, Outcome, Own, Times, geometric_mean, median, ratio};
+use super::measure::{Outcome, Own, Times};
 use super::peer::Peer;
 use super::sets::{Question, RaySet};
 use crate::machine::Machine;
+use crate::timing::{Clock, geometric_mean, mrays, ratio};
 
 /// Everything that was found out.
 #[derive(Serialize)]
@@ -148,7 +149,7 @@ impl Report {
             let threads = way.pool.current_num_threads();
             let of_peer = |peer: usize| {
                 let same = |p: &&(usize, usize, Times)| (p.0, p.1) == (peer, threads);
-                outcome.peers.iter().find(same).map(|p| ratio(times, &p.2))
+                outcome.peers.iter().find(same).map(|p| ratio(&times.seconds, &p.2.seconds))
             };
             let float = outcome.own.iter().find(|(other, _)| {
                 let other = &ways[*other];
@@ -157,7 +158,7 @@ impl Report {
             });
             let mut row = Row::new(way, rays, times);
             row.ratios = (0..peers.len()).filter_map(of_peer).collect();
-            row.cost_percent = float.map(|(_, float)| cost_percent(ratio(float, times)));
+            row.cost_percent = float.map(|(_, float)| cost_percent(ratio(&float.seconds, &times.seconds)));
             row.differs = outcome.differing.contains(number);
             self.differing += u64::from(row.differs);
             kernels.push(row);
@@ -166,7 +167,7 @@ impl Report {
             peer: *peer,
             threads: *threads,
             hits: times.hits,
-            mrays_per_second: mrays(rays, times),
+            mrays_per_second: mrays(rays, &times.seconds),
             seconds: times.seconds.clone(),
         };
         let peers = outcome.peers.iter().map(peer_row).collect();
@@ -220,7 +221,7 @@ impl Report {
             p.rest,
             self.machine,
             self.rounds,
-            self.clock_note()
+            self.clock.note()
         );
         for set in &self.sets {
             let _ = writeln!(t, "\n{}: {} rays, {}", set.set, set.rays, set.question.name());
@@ -234,13 +235,6 @@ impl Report {
         }
         t.push('\n');
         t + &self.summary().iter().map(|line| format!("{line}\n")).collect::<String>()
-    }
-
-    fn clock_note(&self) -> &'static str {
-        match self.clock {
-            Clock::Wall => "",
-            Clock::Cpu => ", processor time",
-        }
     }
 
     fn line(&self, row: &Row) -> String {
@@ -298,7 +292,7 @@ impl Report {
             self.bytes_per_triangle,
             self.machine,
             self.rounds,
-            self.clock_note()
+            self.clock.note()
         );
         let has_cost = !self.costs.is_empty();
         t += "| rays | kernel | Mrays/s | nodes | leaves | triangles | pages |";
@@ -345,7 +339,7 @@ impl Row {
             isa: way.tracer.isa().name(),
             threads: way.pool.current_num_threads(),
             hits: times.hits,
-            mrays_per_second: mrays(rays, times),
+            mrays_per_second: mrays(rays, &times.seconds),
             seconds: times.seconds.clone(),
             nodes_per_ray: each(nodes),
             leaves_per_ray: each(leaves),
@@ -367,11 +361,6 @@ impl Row {
 /// The share of speed that is lost, in percent, where the float kernel is `slowdown` times as fast as the exact one.
 fn cost_percent(slowdown: f64) -> f64 {
     100.0 * (1.0 - 1.0 / slowdown)
-}
-
-/// Million rays a second: the median over the rounds.
-fn mrays(rays: u64, times: &Times) -> f64 {
-    rays as f64 * 1e-6 / median(times.seconds.clone()).max(1e-12)
 }
 
 fn threads(n: usize) -> String {
