@@ -4,8 +4,8 @@
 //! font; PNG uses Ubuntu Light, which comes with the program, so that it looks the same on every machine.
 
 use std::fmt::Write as _;
-use std::io::Cursor;
 
+use image::codecs::png::{CompressionType, FilterType, PngEncoder};
 use octrace::{Error, Result};
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
@@ -151,12 +151,10 @@ impl Drawing {
         }
         let failed = |e: &dyn std::fmt::Display| Error::Option(format!("cannot write the plot as PNG: {e}"));
         let image = image::RgbaImage::from_raw(width, height, pixels.take()).ok_or_else(|| failed(&"wrong size"))?;
-        let mut png = Cursor::new(Vec::new());
-        image::DynamicImage::from(image)
-            .into_rgb8()
-            .write_to(&mut png, image::ImageFormat::Png)
-            .map_err(|e| failed(&e))?;
-        Ok(png.into_inner())
+        let mut png = Vec::new();
+        let encoder = PngEncoder::new_with_quality(&mut png, CompressionType::Best, FilterType::Adaptive);
+        image::DynamicImage::from(image).into_rgb8().write_with_encoder(encoder).map_err(|e| failed(&e))?;
+        Ok(png)
     }
 }
 

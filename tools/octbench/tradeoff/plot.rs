@@ -3,9 +3,11 @@
 use super::drawing::{Anchor, Drawing, Mark, Rgb, Text};
 use super::report::Row;
 
-const SIZE: [f32; 2] = [880.0, 470.0];
+const SIZE: [f32; 2] = [880.0, 460.0];
 /// The axes' box: left, right, top, bottom.
 const FRAME: [f32; 4] = [76.0, 616.0, 52.0, 392.0];
+/// Width of the strip at the left for rays without any error, which a scale of powers has no place for.
+const STRIP: f32 = 104.0;
 const LEGEND: f32 = 642.0;
 const RADIUS: f32 = 6.0;
 const GRID: Rgb = [0xe4; 3];
@@ -59,27 +61,24 @@ impl Axis {
 /// Draws the rows whose speed is known.
 pub fn draw(rows: &[Row], machine: &str) -> Drawing {
     let rows: Vec<(&Row, f64)> = rows.iter().filter_map(|r| Some((r, r.mrays_per_second?))).collect();
+    let (tracers, sets) = (each_once(rows.iter().map(|r| &r.0.tracer)), each_once(rows.iter().map(|r| &r.0.set)));
     let [left, right, top, bottom] = FRAME;
-    let errors = rows.iter().map(|(r, _)| r.error_or_bound());
-    let errors = Axis::over(errors.chain([1e-3, 0.5]), [left, right]);
+    let seen = rows.iter().map(|(r, _)| r.error_rate).filter(|&e| e > 0.0);
+    let errors = Axis::over(seen.chain([1e-3, 0.5]), [left + STRIP, right]);
     let speeds = Axis::over(rows.iter().map(|r| r.1).chain([1.0]), [bottom, top]);
     let mut drawing = Drawing::new(SIZE);
     axes(&mut drawing, &errors, &speeds);
-    let (tracers, sets) = (each_once(rows.iter().map(|r| &r.0.tracer)), each_once(rows.iter().map(|r| &r.0.set)));
     for (row, speed) in &rows {
-        let color = COLORS[place(&tracers, &row.tracer) % COLORS.len()];
+        let tracer = place(&tracers, &row.tracer);
         let mark = MARKS[place(&sets, &row.set) % MARKS.len()];
-        let at = [errors.at(row.error_or_bound()), speeds.at(*speed)];
-        let none = row.tally.errors() == 0;
-        if none {
-            // An arrow: at most here, perhaps further left.
-            let tip = at[0] - 3.2 * RADIUS;
-            drawing.line(&[at, [tip, at[1]]], color, 1.4);
-            drawing.line(&[[tip + 4.0, at[1] - 3.5], [tip, at[1]], [tip + 4.0, at[1] + 3.5]], color, 1.4);
-        }
-        drawing.mark(at, mark, RADIUS, color, !none);
+        let clean = row.tally.errors() == 0;
+        // Side by side in the strip, so that none hides another.
+        let share = (tracer as f32 + 0.5) / tracers.len() as f32;
+        let x = if clean { left + STRIP * share } else { errors.at(row.error_rate) };
+        drawing.mark([x, speeds.at(*speed)], mark, RADIUS, COLORS[tracer % COLORS.len()], !clean);
     }
-    titles(&mut drawing, machine);
+    let bound = rows.iter().filter(|r| r.0.tally.errors() == 0).map(|r| r.0.tally.bound()).fold(0.0, f64::max);
+    titles(&mut drawing, machine, bound);
     legend(&mut drawing, &tracers, &sets);
     drawing
 }
@@ -99,20 +98,32 @@ fn axes(drawing: &mut Drawing, errors: &Axis, speeds: &Axis) {
         let text = format!("{:.decimals$}", 10f64.powi(power));
         drawing.text(text_at([left - 8.0, y + 4.5], &text, Anchor::End));
     }
+    drawing.line(&[[left + STRIP, top], [left + STRIP, bottom]], AXIS, 1.2);
     drawing.line(&[[left, top], [left, bottom], [right, bottom]], AXIS, 1.2);
 }
 
-fn titles(drawing: &mut Drawing, machine: &str) {
+/// Titles of plot and axes; `bound`: where no error was seen there are, at 95 %, fewer than that.
+fn titles(drawing: &mut Drawing, machine: &str, bound: f64) {
     let [left, right, top, bottom] = FRAME;
-    let middle = 0.5 * (left + right);
     drawing.text(Text { size: 17.0, ..text_at([left, top - 24.0], "Speed against error", Anchor::Start) });
     drawing.text(Text { size: 12.0, ..text_at([right, top - 24.0], machine, Anchor::End) });
-    let what = "share of rays with a wrong answer: missed, false or another place";
-    drawing.text(text_at([middle, bottom + 44.0], what, Anchor::Middle));
-    let hollow = "hollow, with an arrow: none found; the mark stands at the 95 % bound, 3 / rays";
-    drawing.text(Text { size: 12.0, ..text_at([middle, bottom + 64.0], hollow, Anchor::Middle) });
+    let middle = 0.5 * (left + STRIP + right);
+    let what = "share of rays with a wrong answer: missed, false, or elsewhere";
+    drawing.text(text_at([middle, bottom + 46.0], what, Anchor::Middle));
+    drawing.text(text_at([left + 0.5 * STRIP, bottom + 20.0], "none found", Anchor::Middle));
+    if bound > 0.0 {
+        let text = format!("95 %: < {}", short(bound));
+        drawing.text(Text { size: 12.0, ..text_at([left + 0.5 * STRIP, bottom + 38.0], &text, Anchor::Middle) });
+    }
     let speed = text_at([22.0, 0.5 * (top + bottom)], "million rays a second, one thread", Anchor::Middle);
     drawing.text(Text { upward: true, ..speed });
+}
+
+/// A small share with two figures: 0.00003.
+fn short(share: f64) -> String {
+    let decimals = (1.0 - share.log10().floor()).max(0.0) as usize;
+    let text = format!("{share:.decimals$}");
+    text.trim_end_matches('0').to_owned()
 }
 
 fn legend(drawing: &mut Drawing, tracers: &[&String], sets: &[&String]) {
@@ -159,5 +170,6 @@ mod tests {
         assert_eq!((axis.at(0.01), axis.at(0.1), axis.at(10.0)), (100.0, 200.0, 400.0));
         assert!(axis.at(0.03) > 100.0 && axis.at(4.0) < 400.0);
         assert_eq!((axis.ticks().count(), axis.between().count()), (4, 24));
+        assert_eq!([3e-5, 2.9e-5, 0.0015, 0.3].map(short), ["0.00003", "0.000029", "0.0015", "0.3"]);
     }
 }

@@ -54,13 +54,6 @@ pub struct Row {
     pub tally: Tally,
 }
 
-impl Row {
-    /// The share of errors, or the bound on it where none was seen.
-    pub fn error_or_bound(&self) -> f64 {
-        if self.tally.errors() == 0 { self.tally.bound() } else { self.error_rate }
-    }
-}
-
 impl Report {
     /// Adds up each tracer's rows.
     pub fn sum_up(&mut self) {
