@@ -223,42 +223,33 @@ impl Report {
             self.rounds,
             self.clock.note()
         );
+        for (number, peer) in self.peers.iter().enumerate() {
+            let _ = writeln!(t, "[{}] = {peer}", number + 1);
+        }
+        let width = 28 + self.peers.iter().map(|p| p.chars().count()).max().unwrap_or(0).saturating_sub(18);
         for set in &self.sets {
-            let _ = writeln!(t, "\n{}: {} rays, {}", set.set, set.rays, set.question.name());
-            for row in &set.kernels {
-                let _ = writeln!(t, "  {}", self.line(row));
-            }
-            for peer in &set.peers {
-                let what = format!("{}, {}", self.peers[peer.peer], threads(peer.threads));
-                let _ = writeln!(t, "  {what:38} {:8.3} Mrays/s  {} hit", peer.mrays_per_second, peer.hits);
+            let _ = write!(
+                t,
+                "\n{:width$} {:>8} {:>9} | {:>6} {:>6} {:>9} {:>6} {:>7}",
+                format!("{}, {} rays, {}", set.set, set.rays, set.question.name()),
+                "Mrays/s",
+                "hit",
+                "nodes",
+                "leaves",
+                "triangles",
+                "pages",
+                "doubts"
+            );
+            (1..=self.peers.len()).for_each(|n| t += &format!(" | {:>7}", format!("x [{n}]")));
+            t += if self.costs.is_empty() { "\n" } else { " |    cost\n" };
+            set.kernels.iter().for_each(|row| t += &row.line(width));
+            for p in &set.peers {
+                let what = format!("  {}, {}", self.peers[p.peer], threads(p.threads));
+                let _ = writeln!(t, "{what:width$} {:8.3} {:9} |", p.mrays_per_second, p.hits);
             }
         }
         t.push('\n');
         t + &self.summary().iter().map(|line| format!("{line}\n")).collect::<String>()
-    }
-
-    fn line(&self, row: &Row) -> String {
-        let mut line = format!(
-            "{:38} {:8.3} Mrays/s  {} hit; a ray: {:.2} nodes, {:.2} leaves, {:.1} triangles, {:.2} pages, {:.4} doubts",
-            format!("{} {}, {}", row.kernel, row.isa, threads(row.threads)),
-            row.mrays_per_second,
-            row.hits,
-            row.nodes_per_ray,
-            row.leaves_per_ray,
-            row.triangles_per_ray,
-            row.pages_per_ray,
-            row.doubts_per_ray
-        );
-        for (name, ratio) in self.peers.iter().zip(&row.ratios) {
-            let _ = write!(line, "; {ratio:.3} x {name}");
-        }
-        if let Some(cost) = row.cost_percent {
-            let _ = write!(line, "; exactness costs {cost:.1} %");
-        }
-        if row.differs {
-            line += "; ANSWERS DIFFER from the first kernel's";
-        }
-        line
     }
 
     /// Geometric means and costs, a line each.
@@ -351,6 +342,29 @@ impl Row {
             cost_percent: None,
             differs: false,
         }
+    }
+
+    /// A line of the table; counts are means over the rays.
+    fn line(&self, width: usize) -> String {
+        let mut line = format!(
+            "{:width$} {:8.3} {:9} | {:6.2} {:6.2} {:9.1} {:6.2} {:7.4}",
+            format!("  {} {}, {}", self.kernel, self.isa, threads(self.threads)),
+            self.mrays_per_second,
+            self.hits,
+            self.nodes_per_ray,
+            self.leaves_per_ray,
+            self.triangles_per_ray,
+            self.pages_per_ray,
+            self.doubts_per_ray
+        );
+        self.ratios.iter().for_each(|ratio| line += &format!(" | {ratio:7.3}"));
+        if let Some(cost) = self.cost_percent {
+            line += &format!(" | {cost:5.1} %");
+        }
+        if self.differs {
+            line += " | ANSWERS DIFFER";
+        }
+        line + "\n"
     }
 
     fn way(&self) -> (&'static str, &'static str, usize) {

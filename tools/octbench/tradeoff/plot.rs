@@ -3,12 +3,12 @@
 use super::drawing::{Anchor, Drawing, Mark, Rgb, Text};
 use super::report::Row;
 
-const SIZE: [f32; 2] = [880.0, 460.0];
+const SIZE: [f32; 2] = [900.0, 470.0];
 /// The axes' box: left, right, top, bottom.
-const FRAME: [f32; 4] = [76.0, 616.0, 52.0, 392.0];
+const FRAME: [f32; 4] = [84.0, 630.0, 52.0, 392.0];
 /// Width of the strip at the left for rays without any error, which a scale of powers has no place for.
-const STRIP: f32 = 104.0;
-const LEGEND: f32 = 642.0;
+const STRIP: f32 = 124.0;
+const LEGEND: f32 = 654.0;
 const RADIUS: f32 = 6.0;
 const GRID: Rgb = [0xe4; 3];
 const FINE: Rgb = [0xf3; 3];
@@ -109,13 +109,13 @@ fn titles(drawing: &mut Drawing, machine: &str, bound: f64) {
     drawing.text(Text { size: 12.0, ..text_at([right, top - 24.0], machine, Anchor::End) });
     let middle = 0.5 * (left + STRIP + right);
     let what = "share of rays with a wrong answer: missed, false, or elsewhere";
-    drawing.text(text_at([middle, bottom + 46.0], what, Anchor::Middle));
-    drawing.text(text_at([left + 0.5 * STRIP, bottom + 20.0], "none found", Anchor::Middle));
-    if bound > 0.0 {
-        let text = format!("95 %: < {}", short(bound));
-        drawing.text(Text { size: 12.0, ..text_at([left + 0.5 * STRIP, bottom + 38.0], &text, Anchor::Middle) });
+    drawing.text(text_at([middle, bottom + 62.0], what, Anchor::Middle));
+    let bound = if bound > 0.0 { format!("95 %: < {}", short(bound)) } else { String::new() };
+    for (line, text) in [(20.0, "none found"), (37.0, &bound)] {
+        let at = [left + 0.5 * STRIP - 4.0, bottom + line];
+        drawing.text(Text { size: 12.0, ..text_at(at, text, Anchor::Middle) });
     }
-    let speed = text_at([22.0, 0.5 * (top + bottom)], "million rays a second, one thread", Anchor::Middle);
+    let speed = text_at([20.0, 0.5 * (top + bottom)], "million rays a second, one thread", Anchor::Middle);
     drawing.text(Text { upward: true, ..speed });
 }
 
