@@ -111,7 +111,11 @@ fn a_peer_is_asked_in_turn_and_the_ratio_told() {
     let mean = &stats["means"][0];
     assert!((number(&mean["geometric_mean"]) / (ratios[0] * ratios[1]).sqrt() - 1.0).abs() < 1e-9);
     assert_eq!(number(&mean["least"]), ratios[0].min(ratios[1]));
-    let markdown = lab.bench(&[&args[..], &["--peer-command", PEER, "--markdown", "--clock", "cpu"]].concat());
+    let figures = lab.bench(&["figures", "s.json", "s.json"]);
+    let mean = format!("({:.2})", number(&mean["geometric_mean"]));
+    assert!(figures.lines().last().unwrap().contains(&mean), "{figures}");
+    assert_eq!(figures.lines().filter(|l| l.starts_with("| planet, whole.")).count(), 4, "{figures}");
+    let markdown = lab.bench(&[&args[..], &["--peer-command", PEER, "--markdown", "--clock", "cpu", "-q"]].concat());
     let head = markdown.lines().find(|l| l.starts_with("| rays")).unwrap();
     assert!(head.ends_with("| x slowpoke |"), "{markdown}");
     let cells = |line: &str| line.matches('|').count();
@@ -163,6 +167,7 @@ fn wrong_usage_and_input_are_refused() {
     }
     lab.fails(2, &["speed", "missing.oct"]);
     lab.fails(2, &["speed", "planet.obj"]);
+    lab.fails(2, &["figures", "planet.obj"]);
     lab.fails(2, &["tradeoff", "--rays-file", "cut.rays"]);
     lab.fails(2, &["tradeoff", "--peer", "h.hits"]);
     lab.fails(2, &["tradeoff", "--model", "planet.obj", "--planet", "12", "--rays-file", "cut.rays"]);
@@ -174,7 +179,10 @@ fn errors_are_told_from_other_answers() {
     let args =
         ["tradeoff", "--model", "planet.obj", "--rays", "2000", "--rounds", "1", "-o", "plot", "--stats", "t.json"];
     let table = lab.bench(&args);
-    assert!(table.contains("planet, aimed, 2000 rays") && table.contains("every triangle, f32"), "{table}");
+    assert!(
+        table.contains("planet, aimed, 2000 rays") && table.contains("every triangle, f32 (1 ray in 4)"),
+        "{table}"
+    );
     let stats = lab.json("t.json");
     assert_eq!((&stats["schema"], &stats["meshes"][0]["triangles"]), (&1.into(), &1200.into()));
     let rows = stats["rows"].as_array().unwrap();
@@ -192,6 +200,8 @@ fn errors_are_told_from_other_answers() {
             assert!(number(&row["mrays_per_second"]) > 0.0 && number(&row["t_ulps_most"]) > 0.0, "{row}");
         }
     }
+    let counts = ["plain octree", "every triangle"].map(|tracer| number(&row("planet, aimed", tracer)["rays"]));
+    assert_eq!(counts, [2000.0, 500.0]);
     // Rays at edges and vertices are where rounding shows, mostly as the triangle beside.
     let plain = row("planet, aimed", "plain octree");
     assert!(number(&plain["error_rate"]) > 0.001 && number(&plain["neighbour"]) > 20.0, "{plain}");

@@ -63,6 +63,8 @@ enum Command {
     Closed(Closed),
     /// Rays per second by kernel, what a ray costs, and how other tracers do on the same rays
     Speed(speed::Options),
+    /// One Markdown table of the statistics that several runs of `speed` wrote
+    Figures(Figures),
     /// Speed against error: this tracer and naive ones, on the same rays
     Tradeoff(tradeoff::Options),
     /// Write a closed planet as OBJ
@@ -115,6 +117,13 @@ struct Closed {
 }
 
 #[derive(clap::Args)]
+struct Figures {
+    /// Files that `octbench speed --stats` wrote
+    #[arg(value_name = "FILE.json", required = true)]
+    files: Vec<PathBuf>,
+}
+
+#[derive(clap::Args)]
 struct MeshOptions {
     /// About so many triangles (12 n^2)
     #[arg(short = 'n', long = "triangles", value_name = "N", default_value = "1e6", value_parser = count)]
@@ -153,6 +162,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Command::Replay(options) => run_replay(options, session),
         Command::Closed(options) => run_closed(options, session),
         Command::Speed(options) => speed::run(options, session),
+        Command::Figures(options) => print(&speed::figures::markdown(&options.files)?).map(|()| ExitCode::SUCCESS),
         Command::Tradeoff(options) => tradeoff::run(options, session),
         Command::Mesh(options) => write_mesh(options, session).map(|()| ExitCode::SUCCESS),
     }

@@ -4,6 +4,7 @@
 //! (`--peer-command`), traces a set in turn, round after round; only tracing is timed. Speeds are medians over the rounds, ratios
 //! are medians of the rounds' own ratios.
 
+pub mod figures;
 pub mod kernels;
 mod measure;
 pub mod peer;

@@ -226,12 +226,12 @@ impl Report {
         for (number, peer) in self.peers.iter().enumerate() {
             let _ = writeln!(t, "[{}] = {peer}", number + 1);
         }
-        let width = 28 + self.peers.iter().map(|p| p.chars().count()).max().unwrap_or(0).saturating_sub(18);
+        let width = self.first_column();
         for set in &self.sets {
             let _ = write!(
                 t,
                 "\n{:width$} {:>8} {:>9} | {:>6} {:>6} {:>9} {:>6} {:>7}",
-                format!("{}, {} rays, {}", set.set, set.rays, set.question.name()),
+                set.title(),
                 "Mrays/s",
                 "hit",
                 "nodes",
@@ -244,12 +244,25 @@ impl Report {
             t += if self.costs.is_empty() { "\n" } else { " |    cost\n" };
             set.kernels.iter().for_each(|row| t += &row.line(width));
             for p in &set.peers {
-                let what = format!("  {}, {}", self.peers[p.peer], threads(p.threads));
+                let what = self.peer_label(p);
                 let _ = writeln!(t, "{what:width$} {:8.3} {:9} |", p.mrays_per_second, p.hits);
             }
         }
         t.push('\n');
         t + &self.summary().iter().map(|line| format!("{line}\n")).collect::<String>()
+    }
+
+    fn peer_label(&self, row: &PeerRow) -> String {
+        format!("  {}, {}", self.peers[row.peer], threads(row.threads))
+    }
+
+    /// Width of the table's first column.
+    fn first_column(&self) -> usize {
+        let rows = |set: &Set| {
+            let labels = set.kernels.iter().map(Row::label).chain(set.peers.iter().map(|p| self.peer_label(p)));
+            labels.chain([set.title()]).map(|text| text.chars().count()).max()
+        };
+        self.sets.iter().filter_map(rows).max().unwrap_or(0)
     }
 
     /// Geometric means and costs, a line each.
@@ -321,6 +334,12 @@ impl Report {
     }
 }
 
+impl Set {
+    fn title(&self) -> String {
+        format!("{}, {} rays, {}", self.set, self.rays, self.question.name())
+    }
+}
+
 impl Row {
     fn new(way: &Own<'_>, rays: u64, times: &Times) -> Row {
         let Counters { nodes, leaves, triangles, bricks, doubts, exact, .. } = times.work;
@@ -344,11 +363,15 @@ impl Row {
         }
     }
 
+    fn label(&self) -> String {
+        format!("  {} {}, {}", self.kernel, self.isa, threads(self.threads))
+    }
+
     /// A line of the table; counts are means over the rays.
     fn line(&self, width: usize) -> String {
         let mut line = format!(
             "{:width$} {:8.3} {:9} | {:6.2} {:6.2} {:9.1} {:6.2} {:7.4}",
-            format!("  {} {}, {}", self.kernel, self.isa, threads(self.threads)),
+            self.label(),
             self.mrays_per_second,
             self.hits,
             self.nodes_per_ray,
@@ -379,4 +402,40 @@ fn cost_percent(slowdown: f64) -> f64 {
 
 fn threads(n: usize) -> String {
     if n == 1 { "1 thread".to_owned() } else { format!("{n} threads") }
+}
+
+#[cfg(test)]
+mod tests {
+    use octrace::build::BuildOptions;
+    use octrace::trace::Isa;
+
+    use super::super::kernels::Kernel;
+    use super::*;
+
+    const EXACT: Kernel = Kernel { name: "single", float_of: None, closest: None, any: None };
+    const FLOAT: Kernel = Kernel { name: "float", float_of: Some("single"), closest: None, any: None };
+
+    #[test]
+    fn what_exactness_costs_is_told_by_set_and_over_all() {
+        let octree = crate::bench::octree(&crate::planet::mesh(300, 1), &BuildOptions::default()).unwrap();
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+        let kernels: [&'static Kernel; 2] = [&EXACT, &FLOAT];
+        let ways = kernels.map(|kernel| Own::new(&octree, kernel, Isa::best(), &pool));
+        let mut report = Report::new(&octree, 3, Clock::Wall, &[], Monitor::silent()).unwrap();
+        // Exact rounds take 1.25 times as long in one set, as long in the other.
+        for (name, exact) in [("slow", 1.25), ("even", 1.0)] {
+            let set = RaySet { name: name.to_owned(), question: Question::Closest, rays: vec![], file: None };
+            let times = |seconds: f64| Times { seconds: vec![seconds; 3], ..Times::default() };
+            let outcome = Outcome { own: vec![(0, times(exact)), (1, times(1.0))], peers: vec![], differing: vec![] };
+            report.add(&set, &ways, &[], &outcome);
+        }
+        report.finish();
+        let of_set = |i: usize| report.sets[i].kernels[0].cost_percent.unwrap();
+        assert!((of_set(0) - 20.0).abs() < 1e-9 && of_set(1).abs() < 1e-9);
+        assert!(report.sets.iter().all(|s| s.kernels[1].cost_percent.is_none()));
+        assert_eq!(report.costs.len(), 1);
+        assert!((report.costs[0].percent - 100.0 * (1.0 - 1.0 / 1.25f64.sqrt())).abs() < 1e-9);
+        assert!(report.table().contains("exactness costs 10.6 % (geometric mean of 2 sets)"), "{}", report.table());
+        assert!(report.markdown().contains(" 20.0 % |"));
+    }
 }

@@ -23,8 +23,8 @@ pub enum Contender<'a> {
     Library(&'static Kernel, Measured<'a>),
     /// The plain octree.
     Octree(&'a PlainOctree),
-    /// The plain test of every triangle.
-    Every(&'a [Corners]),
+    /// The plain test of every triangle, for every so many-th ray: it is slow.
+    Every(&'a [Corners], usize),
     /// Another program.
     Peer(&'a mut Peer),
 }
@@ -44,7 +44,8 @@ impl Contender<'_> {
             Contender::Library(kernel, _) if kernel.float_of.is_some() => format!("octrace, rounded ({})", kernel.name),
             Contender::Library(kernel, _) => format!("octrace, exact ({})", kernel.name),
             Contender::Octree(_) => "plain octree, f32".to_owned(),
-            Contender::Every(_) => "every triangle, f32".to_owned(),
+            Contender::Every(_, 1) => "every triangle, f32".to_owned(),
+            Contender::Every(_, step) => format!("every triangle, f32 (1 ray in {step})"),
             Contender::Peer(peer) => peer.name.clone(),
         }
     }
@@ -65,7 +66,7 @@ impl Contender<'_> {
                 Ok(one.install(|| clock.time(trace))?.0)
             }
             Contender::Octree(tree) => Ok(clock.time(|| Ok(walk(tree, list)))?.0),
-            Contender::Every(corners) => {
+            Contender::Every(corners, _) => {
                 let (seconds, ()) = clock.time(|| {
                     some.iter().for_each(|ray| {
                         std::hint::black_box(every(corners, ray));
@@ -78,7 +79,12 @@ impl Contender<'_> {
         }
     }
 
-    /// All hits; `store` is a file that a peer may write.
+    /// It answers one ray in so many.
+    pub fn step(&self) -> usize {
+        if let Contender::Every(_, step) = self { *step } else { 1 }
+    }
+
+    /// The hits of all rays that it answers; `store` is a file that a peer may write.
     pub fn hits(&mut self, rays: &Rays<'_>, store: &Path) -> Result<Vec<Hit>> {
         match self {
             Contender::Library(kernel, tracer) => {
@@ -87,7 +93,9 @@ impl Contender<'_> {
                 Ok(hits)
             }
             Contender::Octree(tree) => Ok(walk(tree, rays.rays)),
-            Contender::Every(corners) => Ok(rays.rays.par_iter().map(|ray| every(corners, ray)).collect()),
+            Contender::Every(corners, step) => {
+                Ok(rays.rays.par_iter().step_by(*step).map(|ray| every(corners, ray)).collect())
+            }
             Contender::Peer(peer) => {
                 peer.round(Question::Closest, 1, rays.file)?;
                 peer.store(store)?;

@@ -51,6 +51,9 @@ pub struct Options {
     /// Rays in each set: aimed at edges and vertices, and of a camera
     #[arg(long, value_name = "N", default_value = "100000", value_parser = crate::count)]
     rays: u64,
+    /// Most rays of a set that the test of every triangle is given, evenly spread: it is slow
+    #[arg(long, value_name = "N", default_value = "10000", value_parser = crate::count)]
+    every_triangle: u64,
     /// Trace the rays of this file (32 bytes each) instead
     #[arg(long, value_name = "FILE")]
     rays_file: Option<PathBuf>,
@@ -212,19 +215,22 @@ fn compare(
     let truths: Vec<Option<Answer>> = rays.par_iter().map(truth).collect();
     let set = format!("{}, {set}", subject.name);
     let rays = Rays { rays, file: &file };
-    let row = |tracer: String, exact: bool, mrays_per_second: Option<f64>, hits: &[Hit]| {
-        let tally = Tally::new(&subject.mesh, rays.rays, &truths, hits);
+    let row = |tracer: String, exact: bool, mrays_per_second: Option<f64>, step: usize, hits: &[Hit]| {
+        let asked = rays.rays.iter().zip(&truths).step_by(step);
+        let tally = Tally::new(&subject.mesh, asked, hits);
         Row { set: set.clone(), tracer, exact, mrays_per_second, error_rate: tally.error_rate(), tally }
     };
+    let wanted = if options.rays_file.is_some() { rays.rays.len() as u64 } else { options.rays };
+    let step = wanted.div_ceil(options.every_triangle) as usize;
     let mut contenders: Vec<Contender<'_>> = chosen(options)
         .map(|kernel| Contender::Library(kernel, OctreeTracer::new(&*subject.octree)))
-        .chain([Contender::Octree(&subject.plain), Contender::Every(&subject.corners)])
+        .chain([Contender::Octree(&subject.plain), Contender::Every(&subject.corners, step)])
         .chain(peers.iter_mut().map(Contender::Peer))
         .collect();
     let mut hits = Vec::new();
     for contender in &mut contenders {
         let found = contender.hits(&rays, &folder.join("tradeoff.hits"))?;
-        hits.push(as_many(found, rays.rays.len(), Path::new(&contender.name()))?);
+        hits.push(as_many(found, rays.rays.len().div_ceil(contender.step()), Path::new(&contender.name()))?);
     }
     let mut seconds = vec![vec![]; contenders.len()];
     for _ in 0..options.rounds {
@@ -236,11 +242,11 @@ fn compare(
     let mut rows: Vec<Row> = contenders
         .iter()
         .zip(seconds.iter().zip(&hits))
-        .map(|(c, (seconds, hits))| row(c.name(), c.is_exact(), Some(mrays(count, seconds)), hits))
+        .map(|(c, (seconds, hits))| row(c.name(), c.is_exact(), Some(mrays(count, seconds)), c.step(), hits))
         .collect();
     if let Some(path) = &options.peer {
         let found = as_many(records(path)?, rays.rays.len(), path)?;
-        rows.push(row("peer".to_owned(), false, options.peer_mrays, &found));
+        rows.push(row("peer".to_owned(), false, options.peer_mrays, 1, &found));
     }
     Ok(rows)
 }

@@ -77,7 +77,10 @@ pub fn draw(rows: &[Row], machine: &str) -> Drawing {
         let x = if clean { left + STRIP * share } else { errors.at(row.error_rate) };
         drawing.mark([x, speeds.at(*speed)], mark, RADIUS, COLORS[tracer % COLORS.len()], !clean);
     }
-    let bound = rows.iter().filter(|r| r.0.tally.errors() == 0).map(|r| r.0.tally.bound()).fold(0.0, f64::max);
+    // The bound of those that were given all rays; the others' names say that they were given fewer.
+    let most = rows.iter().map(|r| r.0.tally.rays).max().unwrap_or(0);
+    let given_all = rows.iter().filter(|r| r.0.tally.errors() == 0 && 2 * r.0.tally.rays > most);
+    let bound = given_all.map(|r| r.0.tally.bound()).fold(0.0, f64::max);
     titles(&mut drawing, machine, bound);
     legend(&mut drawing, &tracers, &sets);
     drawing

@@ -35,10 +35,10 @@ pub struct Tally {
 }
 
 impl Tally {
-    /// Compares hits with the oracle's answers.
-    pub fn new(mesh: &Mesh, rays: &[Ray], truths: &[Option<Answer>], hits: &[Hit]) -> Tally {
+    /// Compares hits with the oracle's answers to the rays.
+    pub fn new<'a>(mesh: &Mesh, asked: impl Iterator<Item = (&'a Ray, &'a Option<Answer>)>, hits: &[Hit]) -> Tally {
         let mut tally = Tally { rays: hits.len() as u64, ..Tally::default() };
-        for ((ray, truth), hit) in rays.iter().zip(truths).zip(hits) {
+        for ((ray, truth), hit) in asked.zip(hits) {
             match (truth, hit.face != FaceId::NONE) {
                 (None, false) => tally.right += 1,
                 (None, true) => tally.false_hits += 1,
@@ -174,7 +174,7 @@ mod tests {
             Hit::MISS,
             hit(1.0, 0),
         ];
-        let tally = Tally::new(&mesh, &rays, &truths, &hits);
+        let tally = Tally::new(&mesh, rays.iter().zip(&truths), &hits);
         let expected = Tally {
             rays: 10,
             right: 4,
@@ -190,6 +190,6 @@ mod tests {
         assert_eq!((tally.errors(), tally.t_off(), tally.is_exact()), (4, 2, false));
         let twice = tally.and(&tally);
         assert_eq!((twice.rays, twice.errors(), twice.t_ulps_most, twice.error_rate()), (20, 8, 84, 0.4));
-        assert!(Tally::new(&mesh, &rays[..1], &truths[..1], &hits[..1]).is_exact());
+        assert!(Tally::new(&mesh, rays.iter().zip(&truths), &hits[..1]).is_exact());
     }
 }
