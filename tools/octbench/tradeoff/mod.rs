@@ -19,7 +19,7 @@ use octrace::build::BuildOptions;
 use octrace::geometry::{Hit, Ray};
 use octrace::map::Octree;
 use octrace::trace::OctreeTracer;
-use octrace::{Error, Result};
+use octrace::{Error, Monitor, Result};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 
@@ -118,6 +118,7 @@ pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
         rows: vec![],
         summary: vec![],
     };
+    let bench = Bench { options, one: &one, folder: folder.path(), monitor };
     for (mesh, obj) in meshes(options, folder.path(), session)? {
         let subject = Subject::new(mesh, obj)?;
         report.meshes.push(MeshNote { mesh: subject.name.clone(), triangles: subject.mesh.faces.len() as u64 });
@@ -126,7 +127,7 @@ pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
         for (name, rays) in sets(options, &subject.mesh)? {
             monitor.phase("compare");
             monitor.check()?;
-            report.rows.extend(compare(options, &subject, &name, &rays, &mut peers, &one, folder.path())?);
+            report.rows.extend(compare(&bench, &subject, &name, &rays, &mut peers)?);
         }
     }
     report.sum_up();
@@ -198,16 +199,19 @@ impl Subject {
     }
 }
 
+/// What all comparisons share.
+struct Bench<'a> {
+    options: &'a Options,
+    /// A pool of one thread.
+    one: &'a ThreadPool,
+    /// For files of rays and hits.
+    folder: &'a Path,
+    monitor: Monitor<'a>,
+}
+
 /// All tracers on one set of rays.
-fn compare(
-    options: &Options,
-    subject: &Subject,
-    set: &str,
-    rays: &[Ray],
-    peers: &mut [Peer],
-    one: &ThreadPool,
-    folder: &Path,
-) -> Result<Vec<Row>> {
+fn compare(bench: &Bench<'_>, subject: &Subject, set: &str, rays: &[Ray], peers: &mut [Peer]) -> Result<Vec<Row>> {
+    let Bench { options, one, folder, monitor } = *bench;
     // A name of its own: peers keep the rays of the last file.
     let file = folder.join(format!("{set}.rays"));
     write_whole(&file, bytemuck::cast_slice(rays))?;
@@ -229,6 +233,7 @@ fn compare(
         .collect();
     let mut hits = Vec::new();
     for contender in &mut contenders {
+        monitor.check()?;
         let found = contender.hits(&rays, &folder.join("tradeoff.hits"))?;
         hits.push(as_many(found, rays.rays.len().div_ceil(contender.step()), Path::new(&contender.name()))?);
     }
@@ -236,6 +241,7 @@ fn compare(
     for _ in 0..options.rounds {
         for (contender, seconds) in contenders.iter_mut().zip(&mut seconds) {
             seconds.push(contender.time(&rays, options.clock, one)?);
+            monitor.check()?;
         }
     }
     let count = rays.rays.len() as u64;
