@@ -114,14 +114,10 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
     }
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
-        batch(rays, hits, |rays, hits, counters| {
-            self.many(LeastHit, rays, hits, counters)
-        })
+        batch(rays, hits, |rays, hits, counters| self.many(LeastHit, rays, hits, counters))
     }
 
     fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
-        batch(rays, blocked, |rays, blocked, counters| {
-            self.many(Whether(Skip::NONE), rays, blocked, counters)
-        })
+        batch(rays, blocked, |rays, blocked, counters| self.many(Whether(Skip::NONE), rays, blocked, counters))
     }
 }

@@ -8,10 +8,13 @@ mod bench;
 #[path = "../cli/mod.rs"]
 mod cli;
 mod families;
+mod machine;
 mod mirrors;
 mod oracle;
 mod planet;
 mod random;
+mod speed;
+mod timing;
 mod tradeoff;
 mod yardstick;
 
@@ -47,6 +50,7 @@ Examples:
   octbench accuracy --model bunny.obj --rays 1e6
   octbench closed --rays 1e7
   octbench mirrors --paths 1e6 --bounces 1000
+  octbench speed bunny.oct --view bunny-over
   octbench tradeoff --model bunny.obj -o tradeoff
   octbench mesh -n 1e6 -o planet.obj
 ";
@@ -61,6 +65,10 @@ enum Command {
     Closed(Closed),
     /// Follow paths through closed boxes of mirrors, which none may leave
     Mirrors(mirrors::Options),
+    /// Rays per second by kernel, what a ray costs, and how other tracers do on the same rays
+    Speed(speed::Options),
+    /// One Markdown table of the statistics that several runs of `speed` wrote
+    Figures(Figures),
     /// Speed against error: this tracer and naive ones, on the same rays
     Tradeoff(tradeoff::Options),
     /// Write a closed planet as OBJ
@@ -113,6 +121,13 @@ struct Closed {
 }
 
 #[derive(clap::Args)]
+struct Figures {
+    /// Files that `octbench speed --stats` wrote
+    #[arg(value_name = "FILE.json", required = true)]
+    files: Vec<PathBuf>,
+}
+
+#[derive(clap::Args)]
 struct MeshOptions {
     /// About so many triangles (12 n^2)
     #[arg(short = 'n', long = "triangles", value_name = "N", default_value = "1e6", value_parser = count)]
@@ -151,7 +166,9 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Command::Replay(options) => run_replay(options, session),
         Command::Closed(options) => run_closed(options, session),
         Command::Mirrors(options) => mirrors::run(options, session).map(verdict),
-        Command::Tradeoff(options) => tradeoff::run(options, session).map(|()| ExitCode::SUCCESS),
+        Command::Speed(options) => speed::run(options, session),
+        Command::Figures(options) => print(&speed::figures::markdown(&options.files)?).map(|()| ExitCode::SUCCESS),
+        Command::Tradeoff(options) => tradeoff::run(options, session),
         Command::Mesh(options) => write_mesh(options, session).map(|()| ExitCode::SUCCESS),
     }
 }
