@@ -194,9 +194,10 @@ impl<'a> Collector<'a> for Closest<'a> {
             let other = left.trailing_zeros();
             left &= left - 1;
             let (l, h) = at(other);
-            if h < lo {
+            let (nearer, farther) = (h < lo, l > hi);
+            if nearer {
                 (lane, lo, hi) = (other, l, h);
-            } else if !(l > hi) {
+            } else if !farther {
                 return None;
             }
         }
