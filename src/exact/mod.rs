@@ -18,6 +18,7 @@ mod overlap;
 mod plane;
 mod predicates;
 mod quotient;
+mod whole;
 
 pub use crossing::{Crossing, Decision, Line};
 pub use expansion::Expansion;

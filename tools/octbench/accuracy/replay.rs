@@ -41,10 +41,13 @@ pub fn probe_line(probe: &Probe) -> String {
 }
 
 /// A case as text.
-pub fn to_text(title: &str, case: &Case, probes: &[Probe], o: &BuildOptions) -> String {
-    let split = SPLITS.iter().find(|s| s.1 == o.split).map_or("sah", |s| s.0);
-    let brick = o.brick.map_or("-".to_owned(), |n| n.to_string());
-    let mut text = format!("# {title}\nbuild {split} {} {} {} {brick}\n", o.leaf, o.cell, o.depth);
+pub fn to_text(title: &str, case: &Case, probes: &[Probe], options: &[BuildOptions]) -> String {
+    let mut text = format!("# {title}\n");
+    for o in options {
+        let split = SPLITS.iter().find(|s| s.1 == o.split).map_or("sah", |s| s.0);
+        let brick = o.brick.map_or("-".to_owned(), |n| n.to_string());
+        text += &format!("build {split} {} {} {} {brick}\n", o.leaf, o.cell, o.depth);
+    }
     for p in &case.mesh.points {
         text += &format!("v {:08x} {:08x} {:08x}\n", p[0].to_bits(), p[1].to_bits(), p[2].to_bits());
     }
@@ -123,10 +126,7 @@ impl Replay {
         if self.builds.is_empty() {
             self.builds.push(BuildOptions::default());
         }
-        let mut report = FamilyReport::default();
-        for options in &self.builds {
-            report = report.merge(judge::run_case(&self.case, options)?);
-        }
-        Ok(report.finish(0, name))
+        let report = judge::run_case(&self.case, &self.builds)?;
+        Ok(FamilyReport { name: name.to_owned(), ..report })
     }
 }

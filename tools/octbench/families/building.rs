@@ -33,7 +33,7 @@ fn identical(m: &mut Maker<'_>) -> Case {
 
 fn one_vertex(m: &mut Maker<'_>) -> Case {
     let hub = [0.1f32, 0.3, 0.7];
-    let n = m.hub_size(2000);
+    let n = m.size;
     let mesh = Mesh::soup((0..n).map(|_| {
         let tip = |m: &mut Maker| std::array::from_fn(|i| hub[i] + m.random.direction()[i] as f32);
         [hub, tip(m), tip(m)]
@@ -75,7 +75,9 @@ fn flat(m: &mut Maker<'_>) -> Case {
 
 fn teapot(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
-    let place = [0; 3].map(|_| (5e3 * m.random.signed()) as f32);
+    // Far from zero f32 leaves little of the teapot.
+    let far = m.random.pick(&[0.0, 1.0, 30.0, 5e3]);
+    let place = [0; 3].map(|_| (far * m.random.signed()) as f32);
     let mut mesh = mesh::sphere(levels, 0.1, &mut m.random).placed(1e-3, place);
     let small = mesh.faces.len();
     mesh.append(&mesh::cube().placed(1e4, [0.0; 3]));
@@ -151,7 +153,9 @@ fn every_layout(m: &mut Maker<'_>) -> Case {
         let o = m.origin(mesh);
         ray(o, toward(o, m.target(mesh)))
     });
-    case.layout = Layout { brick: Some(m.random.pick(&[1, 7, 64, 4096])) };
+    // Pages of one triangle are for small meshes: each is a file of its own to the builder.
+    let least = if m.size < 500 { 1 } else { 64 };
+    case.layout = Layout { brick: Some(m.random.pick(&[least, 7.max(least), 64, 4096])), ways: 3, ..Layout::default() };
     case
 }
 

@@ -80,7 +80,7 @@ fn quad_diagonal(m: &mut Maker<'_>) -> Case {
 }
 
 fn fan_hub(m: &mut Maker<'_>) -> Case {
-    let n = m.hub_size(10_000);
+    let n = m.size.max(3);
     let hub = [0; 3].map(|_| m.random.signed() as f32);
     let made = mesh::fan(n, hub, &mut m.random);
     let fan = m.place(made);

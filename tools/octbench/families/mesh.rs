@@ -37,6 +37,11 @@ impl Mesh {
         (0..self.faces.len()).map(|i| self.corners(i))
     }
 
+    /// All triangles with their numbers.
+    pub fn numbered(&self) -> impl Iterator<Item = (u32, Corners)> + '_ {
+        (0..).zip(self.triangles())
+    }
+
     /// Adds another mesh.
     pub fn append(&mut self, other: &Mesh) {
         let base = self.points.len() as u32;

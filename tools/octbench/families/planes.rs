@@ -116,7 +116,7 @@ fn upper_face(m: &mut Maker<'_>) -> Case {
 fn far_origin(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
-        let (center, radius) = mesh.ball();
+        let (center, radius) = m.ball(mesh);
         let far = 2.0 * radius * m.random.pick(&[1.0, 1e2, 1e4, 1e7]);
         let d = m.random.direction();
         let o = std::array::from_fn(|i| (center[i] + far * d[i]).clamp(-3e38, 3e38) as f32);

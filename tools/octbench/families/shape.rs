@@ -39,15 +39,14 @@ fn needles(m: &mut Maker<'_>) -> Case {
     let mesh = m.place(made);
     m.case(mesh, |m, mesh| {
         let target = m.target(mesh);
-        let (center, radius) = mesh.ball();
+        let (_, radius) = m.ball(mesh);
         let o = if m.random.chance(0.5) {
             m.origin(mesh)
         } else {
             // From within the plane of some needle, half a degree up.
             let [a, b, c] = mesh.corners(m.random.below(mesh.faces.len())).map(|p| p.map(f64::from));
             std::array::from_fn(|i| {
-                (a[i] + 2.0 * (b[i] - a[i]) + (c[i] - a[i]) + 0.0087 * radius * m.random.signed() + 0.0 * center[i])
-                    as f32
+                (a[i] + 2.0 * (b[i] - a[i]) + (c[i] - a[i]) + 0.0087 * radius * m.random.signed()) as f32
             })
         };
         ray(o, toward(o, target))

@@ -60,6 +60,11 @@ impl<N: Number> Figure<N> {
         Figure { d: exactly(&ray.d), p: corners.map(|c| minus(&exactly(&c), &o)) }
     }
 
+    /// The figure of a direction and of corners seen from the origin; a positive factor of either changes no sign.
+    pub fn seen((d, p): (Vector<N>, [Vector<N>; 3])) -> Figure<N> {
+        Figure { d, p }
+    }
+
     fn normal(&self) -> Vector<N> {
         cross(&minus(&self.p[1], &self.p[0]), &minus(&self.p[2], &self.p[0]))
     }
