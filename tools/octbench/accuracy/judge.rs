@@ -24,6 +24,9 @@ const LARGE: usize = 10_000;
 /// And from this size on as very large.
 const MILLION: usize = 1_000_000;
 
+/// Rays that the oracle takes together through a mesh.
+const TOGETHER: usize = 100;
+
 /// Disagreements described, at most.
 const EXAMPLES: usize = 8;
 
@@ -73,7 +76,11 @@ impl Bench {
         (report.rays_on_10k, report.rays_on_1m) = (on(LARGE), on(MILLION));
         let started = Instant::now();
         let mut counts = TierCounts::default();
-        let truths: Vec<Truth> = probes.iter().map(|p| self.truth(p, &mut counts)).collect();
+        let mut truths: Vec<Truth> = Vec::with_capacity(probes.len());
+        for some in probes.chunks(TOGETHER) {
+            let near = self.oracle.near(&some.iter().map(|p| p.ray).collect::<Vec<_>>());
+            truths.extend(some.iter().zip(&near).map(|(p, near)| self.truth(p, near, &mut counts)));
+        }
         report.hits = truths.iter().filter(|t| t.closest.is_some()).count() as u64;
         report.oracle = counts;
         report.times.oracle = started.elapsed().as_secs_f64();
@@ -106,11 +113,11 @@ impl Bench {
         Ok(report)
     }
 
-    fn truth(&self, probe: &Probe, counts: &mut TierCounts) -> Truth {
+    fn truth(&self, probe: &Probe, near: &[u32], counts: &mut TierCounts) -> Truth {
         match probe.ask {
-            Ask::Closest => Truth { closest: self.oracle.closest(&probe.ray, &probe.skip, counts), all: None },
+            Ask::Closest => Truth { closest: self.oracle.closest_of(near, &probe.ray, &probe.skip, counts), all: None },
             Ask::All => {
-                let all = self.oracle.all(&probe.ray, &probe.skip, counts);
+                let all = self.oracle.all_of(near, &probe.ray, &probe.skip, counts);
                 Truth { closest: all.first().copied(), all: Some(all) }
             }
         }

@@ -123,6 +123,7 @@ fn given(rays: u64, seed: u64, mesh: &Mesh, families: &[Family], monitor: Monito
             round: 0,
             model: Some(mesh),
             ball: None,
+            turn: 0,
         });
         tasks
             .extend(case.probes.chunks(PER_TASK).map(|probes| Task::Given(place, Arc::clone(&bench), probes.to_vec())));
@@ -199,6 +200,7 @@ fn run_round(plan: &Plan, family: &Family, round: &Round) -> Result<FamilyReport
         round: round.number / 2,
         model: None,
         ball: None,
+        turn: 0,
     };
     let case = (family.make)(&mut maker);
     let options = rounds::build_options(round.number, &case.layout, case.mesh.faces.len());

@@ -12,7 +12,7 @@ const SIZES: [usize; 10] = [12, 60, 12_000, 300, 12, 1000, 60, 12_000, 3000, 300
 const HUB_SIZES: [usize; 10] = [3, 30, 10_000, 5, 100, 4, 1000, 12, 300, 8];
 
 /// Rays of a round, about.
-const PER_ROUND: u64 = 20_000;
+const PER_ROUND: u64 = 40_000;
 
 /// A round of a family.
 #[derive(Clone, Copy, Debug, PartialEq)]

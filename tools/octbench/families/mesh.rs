@@ -171,8 +171,12 @@ pub fn slivers(n: usize, random: &mut Random) -> Mesh {
                 c
             }
             _ => {
+                // Edges in the proportion 11.2 : 9.7 : 1.4, rounded to a tenth (exactly so they would not close).
                 let side = random.direction();
-                std::array::from_fn(|i| a[i] + 0.866 * along[i] as f32 + 0.0087 * side[i] as f32)
+                let across = (0..3).map(|i| side[i] * along[i]).sum::<f64>();
+                std::array::from_fn(|i| {
+                    (f64::from(a[i]) + (9.72 * along[i] + 0.1 * (side[i] - across * along[i])) / 11.16) as f32
+                })
             }
         };
         [a, b, c]

@@ -75,6 +75,8 @@ pub struct Maker<'a> {
     pub model: Option<&'a Mesh>,
     /// The ball of the mesh that rays are being aimed at, once it was needed.
     pub ball: Option<Ball>,
+    /// Which corner or edge of the mesh had its turn.
+    pub turn: usize,
 }
 
 /// Centre and radius of a mesh, and which mesh it was.
@@ -220,6 +222,20 @@ impl Maker<'_> {
     pub fn vertex(&mut self, mesh: &Mesh) -> [f32; 3] {
         let face = mesh.faces[self.random.below(mesh.faces.len())];
         mesh.points[face[self.random.below(3)] as usize]
+    }
+
+    /// The corners of all faces, one after the other; again from the start when all have had their turn.
+    pub fn next_corner(&mut self, mesh: &Mesh) -> [f32; 3] {
+        self.turn += 1;
+        let corner = self.turn % (3 * mesh.faces.len());
+        mesh.corners(corner / 3)[corner % 3]
+    }
+
+    /// The ends of the edges of all faces, in the same manner.
+    pub fn next_edge(&mut self, mesh: &Mesh) -> ([f32; 3], [f32; 3]) {
+        let a = self.next_corner(mesh);
+        let edge = self.turn % (3 * mesh.faces.len());
+        (a, mesh.corners(edge / 3)[(edge + 1) % 3])
     }
 
     /// The two ends of an edge of some face.

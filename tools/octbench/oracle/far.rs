@@ -35,43 +35,46 @@ impl Triangles {
         self.corners.iter_mut().zip(corners.as_flattened()).for_each(|(list, &x)| list.push(x.into()));
     }
 
-    /// The numbers of all triangles that the ray's line may cross; never leaves out one that it does.
-    pub fn perhaps(&self, ray: &OracleRay) -> Vec<u32> {
-        let largest = ray.d.iter().fold(0.0f64, |m, x| m.max(f64::from(x.abs())));
-        let line = Line { o: ray.o.map(f64::from), d: ray.d.map(|x| f64::from(x) / largest) };
-        Arch::new().dispatch(Search { triangles: self, line })
+    /// For each ray the numbers of all triangles that its line may cross; never leaves out one that it does.
+    pub fn perhaps(&self, rays: &[OracleRay]) -> Vec<Vec<u32>> {
+        Arch::new().dispatch(Search { triangles: self, rays })
     }
 }
 
 /// The search, compiled for each instruction set.
 struct Search<'a> {
     triangles: &'a Triangles,
-    line: Line,
+    rays: &'a [OracleRay],
 }
 
 impl WithSimd for Search<'_> {
-    type Output = Vec<u32>;
+    type Output = Vec<Vec<u32>>;
 
     #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> Vec<u32> {
-        let Search { triangles, line } = self;
-        let mut found = Vec::new();
+    fn with_simd<S: Simd>(self, _: S) -> Vec<Vec<u32>> {
+        let Search { triangles, rays } = self;
+        let lines: Vec<Line> = rays.iter().map(Line::new).collect();
+        let mut found = vec![Vec::new(); rays.len()];
+        // Each block of triangles is fetched once and meets all rays.
         for start in (0..triangles.radius2.len()).step_by(BLOCK) {
-            let end = (start + BLOCK).min(triangles.radius2.len());
-            let mut gaps = [f64::INFINITY; BLOCK];
-            let center = triangles.center.each_ref().map(|list| &list[start..end]);
-            if !line.gaps(center, &triangles.radius2[start..end], &mut gaps[..end - start]) {
-                continue;
-            }
-            let touched = |gap: &f64| *gap <= 0.0;
-            let first = gaps.iter().position(touched).unwrap_or(0);
-            let last = gaps.iter().rposition(touched).unwrap_or(0);
-            let mut missed = [0.0; BLOCK];
-            let corners = triangles.corners.each_ref().map(|list| &list[start + first..=start + last]);
-            line.missed(&corners, &mut missed[first..=last]);
-            for i in first..=last {
-                if gaps[i] <= 0.0 && missed[i] == 0.0 {
-                    found.push((start + i) as u32);
+            let range = start..(start + BLOCK).min(triangles.radius2.len());
+            let center = triangles.center.each_ref().map(|list| &list[range.clone()]);
+            let radius2 = &triangles.radius2[range.clone()];
+            for (line, found) in lines.iter().zip(&mut found) {
+                let mut gaps = [f64::INFINITY; BLOCK];
+                if !line.gaps(center, radius2, &mut gaps[..range.len()]) {
+                    continue;
+                }
+                let touched = |gap: &f64| *gap <= 0.0;
+                let first = gaps.iter().position(touched).unwrap_or(0);
+                let last = gaps.iter().rposition(touched).unwrap_or(0);
+                let mut missed = [0.0; BLOCK];
+                let corners = triangles.corners.each_ref().map(|list| &list[start + first..=start + last]);
+                line.missed(&corners, &mut missed[first..=last]);
+                for i in first..=last {
+                    if gaps[i] <= 0.0 && missed[i] == 0.0 {
+                        found.push((start + i) as u32);
+                    }
                 }
             }
         }
@@ -80,6 +83,11 @@ impl WithSimd for Search<'_> {
 }
 
 impl Line {
+    fn new(ray: &OracleRay) -> Line {
+        let largest = ray.d.iter().fold(0.0f64, |m, x| m.max(f64::from(x.abs())));
+        Line { o: ray.o.map(f64::from), d: ray.d.map(|x| f64::from(x) / largest) }
+    }
+
     /// How far, squared, the line passes outside of each sphere; whether it touches one.
     ///
     /// The line touches a sphere if `|d x (c - o)| <= r |d|`. The computed cross product is off by at most e = 2^-50 |c - o| |d|, so

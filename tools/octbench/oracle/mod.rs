@@ -30,7 +30,7 @@ use far::Triangles;
 use number::{Crossing, Figure};
 #[cfg(test)]
 pub use rational::closest as closest_rational;
-use whole::Whole;
+use whole::{Scaled, Whole};
 
 /// A ray as it stands in a ray file: origin, direction, tmin, tmax.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -103,7 +103,7 @@ struct Tiers<'a> {
     ray: &'a OracleRay,
     corners: &'a Corners,
     quick: Figure<Bounded>,
-    whole: OnceCell<Figure<Whole>>,
+    whole: OnceCell<Scaled>,
     exact: OnceCell<Figure<Expansion>>,
 }
 
@@ -116,8 +116,12 @@ impl<'a> Tiers<'a> {
         self.exact.get_or_init(|| Figure::new(self.ray, self.corners))
     }
 
+    fn scaled(&self) -> &Scaled {
+        self.whole.get_or_init(|| Scaled::new(self.ray, self.corners))
+    }
+
     fn whole(&self) -> &Figure<Whole> {
-        self.whole.get_or_init(|| Figure::seen(whole::figure(self.ray, self.corners)))
+        &self.scaled().figure
     }
 
     fn den_sign(&self) -> Ordering {
@@ -179,39 +183,50 @@ impl Oracle {
         Oracle { corners, faces, quick }
     }
 
-    /// Calls `found` with the numbers of the triangles that the ray's line may cross.
-    fn near_line(&self, ray: &OracleRay, skip: &[u32], mut found: impl FnMut(usize)) {
-        for i in self.quick.perhaps(ray) {
-            if !skip.contains(&self.faces[i as usize]) {
-                found(i as usize);
-            }
-        }
+    /// For each ray the triangles that its line may cross, by their place in the oracle's list.
+    pub fn near(&self, rays: &[OracleRay]) -> Vec<Vec<u32>> {
+        self.quick.perhaps(rays)
     }
 
     /// The closest hit among the triangles, leaving out `skip`.
     pub fn closest(&self, ray: &OracleRay, skip: &[u32], counts: &mut TierCounts) -> Option<Answer> {
-        if !ray.can_hit() {
-            return None;
-        }
-        let mut best: Option<Candidate> = None;
-        self.near_line(ray, skip, |i| {
-            let Some(c) = self.test(ray, i, counts) else { return };
-            if best.is_none_or(|b| self.order(ray, &c, &b) == Ordering::Less) {
-                best = Some(c);
-            }
-        });
-        best.map(|c| self.answer(ray, &c))
+        self.closest_of(&self.near(std::slice::from_ref(ray))[0], ray, skip, counts)
     }
 
     /// All hits in order.
     pub fn all(&self, ray: &OracleRay, skip: &[u32], counts: &mut TierCounts) -> Vec<Answer> {
-        if !ray.can_hit() {
-            return vec![];
+        self.all_of(&self.near(std::slice::from_ref(ray))[0], ray, skip, counts)
+    }
+
+    /// The closest hit, given what [`Oracle::near`] says of the ray.
+    pub fn closest_of(&self, near: &[u32], ray: &OracleRay, skip: &[u32], counts: &mut TierCounts) -> Option<Answer> {
+        let mut best: Option<Candidate> = None;
+        for c in self.crossings(near, ray, skip, counts) {
+            if best.is_none_or(|b| self.order(ray, &c, &b) == Ordering::Less) {
+                best = Some(c);
+            }
         }
-        let mut found = Vec::new();
-        self.near_line(ray, skip, |i| found.extend(self.test(ray, i, counts)));
+        best.map(|c| self.answer(ray, &c))
+    }
+
+    /// All hits in order, given what [`Oracle::near`] says of the ray.
+    pub fn all_of(&self, near: &[u32], ray: &OracleRay, skip: &[u32], counts: &mut TierCounts) -> Vec<Answer> {
+        let mut found: Vec<Candidate> = self.crossings(near, ray, skip, counts).collect();
         found.sort_by(|a, b| self.order(ray, a, b));
         found.iter().map(|c| self.answer(ray, c)).collect()
+    }
+
+    /// The crossings that count, in no order.
+    fn crossings(
+        &self,
+        near: &[u32],
+        ray: &OracleRay,
+        skip: &[u32],
+        counts: &mut TierCounts,
+    ) -> impl Iterator<Item = Candidate> {
+        let near = if ray.can_hit() { near } else { &[] };
+        let wanted = near.iter().map(|&i| i as usize).filter(|&i| !skip.contains(&self.faces[i]));
+        wanted.filter_map(|i| self.test(ray, i, counts))
     }
 
     /// Tests one triangle: f64 first, expansions where it cannot tell.
@@ -251,11 +266,16 @@ impl Oracle {
     }
 
     fn answer(&self, ray: &OracleRay, c: &Candidate) -> Answer {
-        let quick = Figure::<Bounded>::new(ray, &self.corners[c.index]).crossing(c.on_edge);
+        let tiers = Tiers::new(ray, &self.corners[c.index]);
+        let quick = tiers.quick.crossing(c.on_edge);
+        let whole = OnceCell::new();
+        let whole = || whole.get_or_init(|| tiers.whole().crossing(c.on_edge));
         let exact = OnceCell::new();
-        let exact = || exact.get_or_init(|| self.exactly(ray, c));
-        let (u, v) = quick.barycentric().or_else(|| exact().barycentric()).expect(TELLS);
-        let t_exact = quick.is_exactly(c.t).or_else(|| exact().is_exactly(c.t)).expect(TELLS);
+        let exact = || exact.get_or_init(|| tiers.exact().crossing(c.on_edge));
+        let weights = quick.barycentric().or_else(|| whole().barycentric()).or_else(|| exact().barycentric());
+        let (u, v) = weights.expect(TELLS);
+        let t_exact = quick.is_exactly(c.t).or_else(|| tiers.scaled().is_exactly(whole(), c.t));
+        let t_exact = t_exact.or_else(|| exact().is_exactly(c.t)).expect(TELLS);
         Answer { t: c.t, t_exact, face: self.faces[c.index], u, v }
     }
 }

@@ -177,7 +177,7 @@ fn row(name: &str, truths: &[Option<Answer>], hits: &[Hit], mrays_per_second: Op
 /// Rays from around the mesh at its vertices, edges and faces.
 fn aimed(mesh: &Mesh, rays: u64, seed: u64) -> Vec<Ray> {
     let random = Random::new(seed);
-    let mut maker = Maker { random, rays: 0, size: mesh.faces.len(), round: 0, model: Some(mesh), ball: None };
+    let mut maker = Maker { random, rays: 0, size: mesh.faces.len(), round: 0, model: Some(mesh), ball: None, turn: 0 };
     (0..rays)
         .map(|_| {
             let o = maker.origin(mesh);
