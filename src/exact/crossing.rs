@@ -188,7 +188,7 @@ impl Line {
     ///
     /// It is computed as det(d, p - o, q - p), the same number, whose terms are smaller by the ratio of edge to distance.
     #[inline(always)]
-    fn determinant(&self, p: [f32; 3], q: [f32; 3]) -> (f64, f64) {
+    pub(super) fn determinant(&self, p: [f32; 3], q: [f32; 3]) -> (f64, f64) {
         let (p, q) = (wide(p), wide(q));
         let (p, q) = (apart(p, self.o), apart(q, p));
         let (mut value, mut permanent) = (0.0, 0.0);
@@ -221,7 +221,7 @@ impl Line {
     }
 
     /// (p - o) x (q - o), exactly.
-    fn edge_cross(&self, p: [f32; 3], q: [f32; 3]) -> Vector {
+    pub(super) fn edge_cross(&self, p: [f32; 3], q: [f32; 3]) -> Vector {
         cross(&subtract(p, self.ray.origin), &subtract(q, self.ray.origin))
     }
 

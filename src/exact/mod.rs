@@ -11,6 +11,8 @@
 //!
 //! What it does not do: nothing here knows of trees, files or pages.
 
+#[cfg(test)]
+mod bounds;
 mod crossing;
 mod expansion;
 mod filter;

@@ -11,6 +11,8 @@ mod planes;
 mod secondary;
 mod shape;
 mod streaming;
+#[cfg(test)]
+mod tests;
 
 use mesh::Mesh;
 
