@@ -49,10 +49,10 @@ impl Rounds {
         10 * self.tens as usize
     }
 
-    /// A round by its number. The largest hubs get a tenth of the rays of the others.
+    /// A round by its number. Hubs of more than 300 triangles get fewer rays, in proportion to what each costs.
     pub fn get(&self, number: usize) -> Option<Round> {
         let sizes = if self.hub { HUB_SIZES } else { SIZES };
-        let weight = |size: usize| if self.hub && size >= 10_000 { 0.1 } else { 1.0 };
+        let weight = |size: usize| if self.hub { (300.0 / size as f64).min(1.0) } else { 1.0 };
         let size = sizes[number % sizes.len()];
         let all = self.tens as f64 * sizes.into_iter().map(weight).sum::<f64>();
         let rays = (self.rays * weight(size) / all).ceil().max(1.0) as usize;

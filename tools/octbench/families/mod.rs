@@ -92,8 +92,8 @@ pub struct Ball {
 /// Families of triangles around one point, where a ray needs an exact test of every triangle.
 pub const HUBS: [u32; 2] = [6, 25];
 
-/// Families whose rays need exact tests of many triangles, some hundred times as costly as others.
-pub const DEAR: [u32; 4] = [6, 16, 25, 27];
+/// Families whose rays need exact tests of many triangles, ten to a hundred times as costly as others.
+pub const DEAR: [u32; 7] = [6, 16, 24, 25, 27, 35, 53];
 
 /// Families that only aim, at whatever mesh.
 pub const ON_ANY_MESH: [u32; 16] = [1, 2, 4, 10, 11, 12, 20, 21, 22, 31, 36, 41, 42, 44, 48, 52];

@@ -259,6 +259,8 @@ impl Oracle {
             Ordering::Less
         } else if b.t_high < a.t_low {
             Ordering::Greater
+        } else if self.corners[a.index] == self.corners[b.index] {
+            Ordering::Equal
         } else {
             self.exactly(ray, a).compare(&self.exactly(ray, b))
         };
