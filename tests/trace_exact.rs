@@ -205,15 +205,15 @@ fn the_filter_is_never_wrong() {
             std::array::from_fn(|i| scale * (centre[i] + size * p[i]))
         });
         // All triangles share the edge 0-1, in any place and direction.
-        let mut corners = [[0u8; 16]; 3];
-        for j in 0..16 {
-            let mut corner = [0, 1, 2 + random.below(14) as u8];
-            corner.rotate_left(random.below(3));
+        let triangles = [0; 16].map(|_| {
+            let mut corners = [0, 1, 2 + random.below(14) as u8];
+            corners.rotate_left(random.below(3));
             if random.below(2) == 0 {
-                corner.swap(0, 1);
+                corners.swap(0, 1);
             }
-            (0..3).for_each(|k| corners[k][j] = corner[k]);
-        }
+            corners
+        });
+        let corners = [0, 1, 2].map(|k| triangles.map(|t| t[k]));
         let from = random.vector();
         let origin: [f32; 3] = std::array::from_fn(|i| scale * (centre[i] + away * from[i]));
         // Toward a point next to that edge or its end, off it by 2^-30 to 2^-16.

@@ -197,7 +197,7 @@ mod tests {
             nudge in -1i32..2,
         ) {
             // Coordinates of up to 17 bits. The second triangle may lie in the first one's plane, or a unit off.
-            let fine = |i: usize| n[i] * (1 << (i as i32 * far) % 10) + n[(i + 7) % 24] / 8;
+            let fine = |i: usize| n[i] * (1 << ((i as i32 * far) % 10)) + n[(i + 7) % 24] / 8;
             let number = |whole: i32| (f64::from(whole) * 2f64.powi(unit)) as f32;
             let point = |i: usize| [fine(i), fine(i + 1), fine(i + 2)];
             let (d, o, a, b, c) = (point(0), point(3), point(6), point(9), point(12));

@@ -5,6 +5,7 @@ use std::time::Instant;
 
 use octrace::Result;
 use octrace::build::BuildOptions;
+use octrace::event::Monitor;
 use octrace::geometry::Hit;
 use octrace::map::Octree;
 use octrace::trace::{Counters, Found, Isa, LinearTracer, OctreeTracer, Tracer, all_hits};
@@ -26,6 +27,9 @@ const MILLION: usize = 1_000_000;
 
 /// Rays that the oracle takes together through a mesh.
 const TOGETHER: usize = 100;
+
+/// Rays between two looks at whether the user wants to stop.
+const PORTION: usize = 2000;
 
 /// Disagreements described, at most.
 const EXAMPLES: usize = 8;
@@ -138,11 +142,15 @@ impl Bench {
     }
 }
 
-/// Builds a case's files, traces its rays, and compares.
-pub fn run_case(case: &Case, options: &[BuildOptions]) -> Result<FamilyReport> {
+/// Builds a case's files, traces its rays, and compares. [`octrace::Error::Interrupted`] soon after the user asks to stop.
+pub fn run_case(case: &Case, options: &[BuildOptions], monitor: Monitor<'_>) -> Result<FamilyReport> {
     let bench = Bench::new(&case.mesh, options)?;
-    let mut report = bench.judge(&case.probes, case.closed)?;
+    let mut report = FamilyReport::default();
     report.times.build = bench.seconds;
+    for probes in case.probes.chunks(PORTION) {
+        monitor.check()?;
+        report.merge(&bench.judge(probes, case.closed)?);
+    }
     Ok(report)
 }
 

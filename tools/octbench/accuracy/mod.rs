@@ -163,7 +163,7 @@ fn work(
         while let Some(task) = tasks.get(next.fetch_add(1, Ordering::Relaxed)) {
             monitor.check()?;
             let report = match task {
-                Task::Round(place, round) => run_round(plan, &families[*place], round)?,
+                Task::Round(place, round) => run_round(plan, &families[*place], round, monitor)?,
                 Task::Given(_, bench, probes) => bench.judge(probes, false)?,
             };
             let mut sums = sums.lock().unwrap_or_else(|e| e.into_inner());
@@ -191,7 +191,7 @@ fn work(
 }
 
 /// One round of a family: its mesh, its file or files, its rays.
-fn run_round(plan: &Plan, family: &Family, round: &Round) -> Result<FamilyReport> {
+fn run_round(plan: &Plan, family: &Family, round: &Round, monitor: Monitor<'_>) -> Result<FamilyReport> {
     let started = Instant::now();
     let mut maker = Maker {
         random: Random::new(plan.seed ^ u64::from(family.number) << 32 ^ round.number as u64),
@@ -205,7 +205,7 @@ fn run_round(plan: &Plan, family: &Family, round: &Round) -> Result<FamilyReport
     let case = (family.make)(&mut maker);
     let options = rounds::build_options(round.number, &case.layout, case.mesh.faces.len());
     let made = started.elapsed().as_secs_f64();
-    let mut report = judge::run_case(&case, &options)?;
+    let mut report = judge::run_case(&case, &options, monitor)?;
     report.times.make = made;
     keep(plan, family, round.number, &case, &options, &report)?;
     Ok(report)

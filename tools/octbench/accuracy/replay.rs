@@ -12,6 +12,7 @@
 use std::path::Path;
 
 use octrace::build::BuildOptions;
+use octrace::event::Monitor;
 use octrace::format::SplitMode;
 use octrace::{Error, Result};
 
@@ -126,7 +127,7 @@ impl Replay {
         if self.builds.is_empty() {
             self.builds.push(BuildOptions::default());
         }
-        let report = judge::run_case(&self.case, &self.builds)?;
+        let report = judge::run_case(&self.case, &self.builds, Monitor::silent())?;
         Ok(FamilyReport { name: name.to_owned(), ..report })
     }
 }
