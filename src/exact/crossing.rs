@@ -6,7 +6,7 @@
 //! U = det(d, B, C)    V = det(d, C, A)    W = det(d, A, B)        (weights of a, b, c; U + V + W = n.d)
 //! ```
 //!
-//! have one sign. Each is taken in f64 with an error bound, then in expansions. A determinant that is exactly zero (the line
+//! have one sign. Each is taken in f64 with an error bound, then in whole numbers or expansions. A determinant that is exactly zero (the line
 //! meets an edge's line) is resolved by perturbing the *direction* symbolically, d + (e, e^2, e^3) for an infinitely small
 //! e: its sign is that of the first non-zero component of the edge's cross product (Edelsbrunner and Mücke 1990 call this
 //! simulation of simplicity). All triangles see the same perturbed line, and the two triangles at an edge see exactly
@@ -26,6 +26,7 @@ use std::cmp::Ordering;
 use super::expansion::{Expansion, Vector, cross, dot, exact, subtract};
 use super::predicates::U;
 use super::quotient::Quotient;
+use super::whole;
 use crate::geometry::{Ray, Triangle};
 
 /// A ray prepared for the exact test: its origin and direction (finite, not zero) as f64.
@@ -46,7 +47,7 @@ pub struct Crossing {
     pub depth: [f64; 2],
 }
 
-/// The outcome of a test, and whether it needed expansions.
+/// The outcome of a test, and whether it needed exact arithmetic.
 #[derive(Clone, Copy, Debug)]
 pub struct Decision {
     /// Where the line meets the triangle, if it does (at any t, positive or negative).
@@ -55,12 +56,31 @@ pub struct Decision {
     pub exact: bool,
 }
 
-/// The sign of one edge determinant.
-enum Edge {
-    /// Strictly positive or negative; perturbed if the last is true.
-    Sign(bool, bool),
-    /// The origin lies on the edge's line.
-    OnLine,
+/// What f64 says of the sign of an edge determinant: certainly positive, certainly negative, or neither.
+#[derive(Clone, Copy)]
+struct Sign {
+    positive: bool,
+    negative: bool,
+}
+
+impl Sign {
+    /// From a value and the bound of its error.
+    #[inline(always)]
+    fn of((value, error): (f64, f64)) -> Sign {
+        Sign { positive: value > error, negative: value < -error }
+    }
+
+    #[inline(always)]
+    fn doubt(&self) -> bool {
+        !(self.positive | self.negative)
+    }
+}
+
+/// The edges bc, ca, ab: those opposite to a, b and c.
+#[inline(always)]
+fn edges(triangle: &Triangle) -> [([f32; 3], [f32; 3]); 3] {
+    let [a, b, c] = triangle.vertices().map(|v| v.to_array());
+    [(b, c), (c, a), (a, b)]
 }
 
 /// The other two axes in cyclic order.
@@ -93,28 +113,42 @@ impl Line {
 
     /// Decides whether the line meets the triangle.
     pub fn meet(&self, triangle: &Triangle) -> Decision {
-        let [a, b, c] = triangle.vertices().map(|v| v.to_array());
-        let mut exact = false;
-        let mut first = None;
-        for (p, q) in [(b, c), (c, a), (a, b)] {
-            match self.edge(p, q) {
-                Edge::Sign(positive, expanded) => {
-                    exact |= expanded;
-                    if *first.get_or_insert(positive) != positive {
-                        return Decision { crossing: None, exact };
-                    }
-                }
-                Edge::OnLine => {
-                    // On the edge's line, so on the edge iff within its box.
+        let edges = edges(triangle);
+        let [u, v, w] = edges.map(|(p, q)| Sign::of(self.determinant(p, q)));
+        let (positive, negative) = (u.positive | v.positive | w.positive, u.negative | v.negative | w.negative);
+        if positive & negative {
+            return Decision { crossing: None, exact: false };
+        }
+        if [u, v, w].iter().any(|sign| sign.doubt()) {
+            return self.meet_exact(triangle, [u, v, w]);
+        }
+        self.accepted(triangle)
+    }
+
+    /// The same where f64 leaves a determinant in doubt, and those that it does not all have one sign.
+    #[cold]
+    fn meet_exact(&self, triangle: &Triangle, signs: [Sign; 3]) -> Decision {
+        let miss = Decision { crossing: None, exact: true };
+        if signs.iter().all(Sign::doubt) && self.is_along(triangle) {
+            return miss;
+        }
+        let mut first = signs.iter().find(|sign| !sign.doubt()).map(|sign| sign.positive);
+        for ((p, q), sign) in edges(triangle).into_iter().zip(signs) {
+            if !sign.doubt() {
+                continue;
+            }
+            match self.edge_exact(p, q) {
+                Ordering::Equal => {
+                    // The origin is on the edge's line, so on the edge iff within its box.
                     let o = self.ray.origin;
                     let within = (0..3).all(|i| p[i].min(q[i]) <= o[i] && o[i] <= p[i].max(q[i]));
-                    let crossing = if within { self.accepted(triangle).crossing } else { None };
-                    return Decision { crossing, exact: true };
+                    return if within { Decision { exact: true, ..self.accepted(triangle) } } else { miss };
                 }
+                sign if *first.get_or_insert(sign.is_gt()) != sign.is_gt() => return miss,
+                _ => {}
             }
         }
-        let Decision { crossing, exact: expanded } = self.accepted(triangle);
-        Decision { crossing, exact: exact | expanded }
+        Decision { exact: true, ..self.accepted(triangle) }
     }
 
     /// Where the line meets a triangle whose three determinants are known to agree in sign: only n.d = 0 can still make it a miss.
@@ -149,26 +183,18 @@ impl Line {
     /// The same where f64 cannot tell n.d from zero.
     #[cold]
     fn accepted_exact(&self, triangle: &Triangle) -> Decision {
-        let den = self.normal_dot_direction(triangle);
-        let crossing = (!den.is_zero()).then(|| {
-            let depth = Quotient::new(self.height(triangle), den).interval();
+        let crossing = (!self.is_along(triangle)).then(|| {
+            let depth = self.t(triangle).interval();
             Crossing { triangle: *triangle, depth }
         });
         Decision { crossing, exact: true }
-    }
-
-    /// The sign of det(d, p - o, q - o).
-    #[inline]
-    fn edge(&self, p: [f32; 3], q: [f32; 3]) -> Edge {
-        let (value, error) = self.determinant(p, q);
-        if value.abs() > error { Edge::Sign(value > 0.0, false) } else { self.edge_exact(p, q) }
     }
 
     /// det(d, p - o, q - o) in f64, and a bound of its error.
     ///
     /// It is computed as det(d, p - o, q - p), the same number, whose terms are smaller by the ratio of edge to distance.
     #[inline(always)]
-    fn determinant(&self, p: [f32; 3], q: [f32; 3]) -> (f64, f64) {
+    pub(super) fn determinant(&self, p: [f32; 3], q: [f32; 3]) -> (f64, f64) {
         let (p, q) = (wide(p), wide(q));
         let (p, q) = (apart(p, self.o), apart(q, p));
         let (mut value, mut permanent) = (0.0, 0.0);
@@ -181,23 +207,27 @@ impl Line {
         (value, 8.0 * U * permanent)
     }
 
-    /// The sign of det(d, p - o, q - o), exactly, zeros resolved.
-    #[cold]
-    fn edge_exact(&self, p: [f32; 3], q: [f32; 3]) -> Edge {
+    /// The sign of det(d, p - o, q - o), exactly, zeros resolved; `Equal` if o lies on the line through p and q.
+    fn edge_exact(&self, p: [f32; 3], q: [f32; 3]) -> Ordering {
+        if let Some(found) = whole::determinant(self.ray.direction, self.ray.origin, p, q) {
+            return found.perturbed_sign();
+        }
         let cross = self.edge_cross(p, q);
         let value = dot(&exact(self.ray.direction), &cross);
-        std::iter::once(&value)
-            .chain(&cross)
-            .find_map(|x| match x.sign() {
-                Ordering::Greater => Some(Edge::Sign(true, true)),
-                Ordering::Less => Some(Edge::Sign(false, true)),
-                Ordering::Equal => None,
-            })
-            .unwrap_or(Edge::OnLine)
+        std::iter::once(&value).chain(&cross).map(Expansion::sign).find(|sign| sign.is_ne()).unwrap_or(Ordering::Equal)
+    }
+
+    /// Whether n.d is exactly zero: the line runs along the triangle's plane, or the triangle has no area.
+    fn is_along(&self, triangle: &Triangle) -> bool {
+        let [a, b, c] = triangle.vertices().map(|v| v.to_array());
+        match whole::determinant(self.ray.direction, a, b, c) {
+            Some(found) => found.value == 0,
+            None => self.normal_dot_direction(triangle).is_zero(),
+        }
     }
 
     /// (p - o) x (q - o), exactly.
-    fn edge_cross(&self, p: [f32; 3], q: [f32; 3]) -> Vector {
+    pub(super) fn edge_cross(&self, p: [f32; 3], q: [f32; 3]) -> Vector {
         cross(&subtract(p, self.ray.origin), &subtract(q, self.ray.origin))
     }
 
@@ -284,6 +314,10 @@ impl Line {
     /// The weight det(d, p - o, q - o) / n.d, by expansions.
     #[cold]
     fn weight_exact(&self, triangle: &Triangle, p: [f32; 3], q: [f32; 3]) -> f32 {
+        // Mostly it is asked for hits on an edge.
+        if whole::determinant(self.ray.direction, self.ray.origin, p, q).is_some_and(|found| found.value == 0) {
+            return 0.0;
+        }
         let num = dot(&exact(self.ray.direction), &self.edge_cross(p, q));
         Quotient::new(num, self.normal_dot_direction(triangle)).round() + 0.0
     }
@@ -306,6 +340,10 @@ impl Crossing {
     fn cmp_exact(&self, other: &Crossing, line: &Line) -> Ordering {
         if self.triangle == other.triangle {
             return Ordering::Equal;
+        }
+        let corners = [&self.triangle, &other.triangle].map(|t| t.vertices().map(|v| v.to_array()));
+        if let Some(order) = whole::order(line.ray.direction, line.ray.origin, corners) {
+            return order;
         }
         line.t(&self.triangle).cmp(&line.t(&other.triangle))
     }

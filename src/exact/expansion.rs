@@ -9,14 +9,21 @@
 //! 2^129; a product of three such factors is a multiple of 2^-447 below 2^387, of six a multiple of 2^-894 below 2^774;
 //! sums of a few of them add a few bits on top. No term can thus underflow (f64 reaches down to 2^-1074) or overflow
 //! (up to 2^1023), and every operation is exact.
+//!
+//! **Storage.** Coordinates of like magnitude give few terms, which stay in the value itself; only numbers of wide range go to the heap.
 
 use std::cmp::Ordering;
 use std::ops::{Add, Mul, Neg, Sub};
 
+use smallvec::SmallVec;
+
+/// Terms kept without allocation.
+const INLINE: usize = 16;
+
 /// An exact number: the sum of its terms, which grow in magnitude, do not overlap, and are never zero.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Expansion {
-    terms: Vec<f64>,
+    terms: SmallVec<[f64; INLINE]>,
 }
 
 /// `a + b` as rounded sum and exact error (Knuth).
@@ -94,7 +101,7 @@ impl Expansion {
 
 impl From<f64> for Expansion {
     fn from(x: f64) -> Expansion {
-        Expansion { terms: if x == 0.0 { Vec::new() } else { vec![x] } }
+        Expansion { terms: (x != 0.0).then_some(x).into_iter().collect() }
     }
 }
 

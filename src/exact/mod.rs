@@ -11,6 +11,8 @@
 //!
 //! What it does not do: nothing here knows of trees, files or pages.
 
+#[cfg(test)]
+mod bounds;
 mod crossing;
 mod expansion;
 mod filter;
@@ -18,6 +20,7 @@ mod overlap;
 mod plane;
 mod predicates;
 mod quotient;
+mod whole;
 
 pub use crossing::{Crossing, Decision, Line};
 pub use expansion::Expansion;

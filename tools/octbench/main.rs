@@ -26,7 +26,7 @@ use std::time::Instant;
 use clap::{Parser, Subcommand};
 use octrace::{Error, Result};
 
-use accuracy::report::{self, FamilyReport, Report};
+use accuracy::report::{FamilyReport, Report};
 use accuracy::{Plan, closed, replay};
 use cli::args::{Common, StatsFile};
 use cli::output::{Whole, print};
@@ -178,12 +178,14 @@ fn verdict(errors: u64) -> ExitCode {
     if errors == 0 { ExitCode::SUCCESS } else { ExitCode::from(CHECK_FAILED) }
 }
 
-/// Prints the table unless standard output carries the statistics.
+/// Whether standard output carries the statistics.
+fn stats_on_stdout(stats: &StatsFile) -> bool {
+    stats.stats.as_deref().is_some_and(cli::args::is_stdio)
+}
+
+/// Prints a line of a table unless standard output carries the statistics.
 fn table(stats: &StatsFile, text: &str) -> Result<()> {
-    match &stats.stats {
-        Some(path) if cli::args::is_stdio(path) => Ok(()),
-        _ => print(text),
-    }
+    if stats_on_stdout(stats) { Ok(()) } else { print(text) }
 }
 
 fn run_accuracy(options: &Accuracy, session: &Session<'_>) -> Result<ExitCode> {
@@ -193,51 +195,41 @@ fn run_accuracy(options: &Accuracy, session: &Session<'_>) -> Result<ExitCode> {
         std::fs::create_dir_all(folder).map_err(Error::io(folder, "create"))?;
     }
     let started = Instant::now();
-    table(&options.stats, &report::heading())?;
-    let mut shown = Ok(());
-    let tell = |family: &FamilyReport| {
-        if shown.is_ok() {
-            shown = table(&options.stats, &family.lines());
-        }
+    let seconds = || started.elapsed().as_secs_f64();
+    let snapshot = |families: &[FamilyReport]| match stats_on_stdout(&options.stats) {
+        true => Ok(()),
+        false => options.stats.write(&Report::new(families, seed, seconds(), false)),
     };
     let monitor = session.monitor();
-    let families = match &options.model {
-        Some(path) => accuracy::run_model(&plan, &bench::load(path, monitor)?, monitor, tell),
-        None => accuracy::run(&plan, monitor, tell),
+    let outcome = match &options.model {
+        Some(path) => accuracy::run_model(&plan, &bench::load(path, monitor)?, monitor, &snapshot),
+        None => accuracy::run(&plan, monitor, &snapshot),
     }?;
-    shown?;
-    finish(&families, seed, started, &options.stats, session)
+    finish(&Report::new(&outcome.families, seed, seconds(), outcome.complete), &options.stats, session)?;
+    let errors = outcome.families.iter().map(FamilyReport::disagreements).sum();
+    if outcome.complete { Ok(verdict(errors)) } else { Err(Error::Interrupted) }
 }
 
 fn run_replay(options: &Replay, session: &Session<'_>) -> Result<ExitCode> {
     let started = Instant::now();
-    table(&options.stats, &report::heading())?;
     let mut reports = Vec::new();
     for path in &options.files {
         let name = path.file_stem().unwrap_or_default().to_string_lossy();
-        let report = replay::read(path)?.run(&name)?;
-        table(&options.stats, &report.lines())?;
-        reports.push(report);
+        reports.push(replay::read(path)?.run(&name)?);
     }
-    finish(&reports, 0, started, &options.stats, session)
+    let report = Report::new(&reports, 0, started.elapsed().as_secs_f64(), true);
+    finish(&report, &options.stats, session)?;
+    Ok(verdict(report.disagreements))
 }
 
-/// The last line, the statistics, and the exit code.
-fn finish(
-    families: &[FamilyReport],
-    seed: u64,
-    started: Instant,
-    stats: &StatsFile,
-    session: &Session<'_>,
-) -> Result<ExitCode> {
-    let rays = families.iter().map(|f| f.rays).sum();
-    let disagreements = families.iter().map(FamilyReport::disagreements).sum();
-    let rays_on_large = families.iter().map(|f| f.rays_on_large).sum();
-    let seconds = started.elapsed().as_secs_f64();
-    let report = Report { schema: cli::stats::SCHEMA, rays, disagreements, rays_on_large, seconds, seed, families };
-    stats.write(&report)?;
-    session.say(format!("{rays} rays, each in every mode: {disagreements} disagreements, {seconds:.0} s"));
-    Ok(verdict(disagreements))
+/// The table, the statistics, and the summary.
+fn finish(report: &Report, stats: &StatsFile, session: &Session<'_>) -> Result<()> {
+    stats.write(report)?;
+    if !stats_on_stdout(stats) {
+        print(&report.table())?;
+    }
+    session.say(report.summary().trim_end());
+    Ok(())
 }
 
 fn run_closed(options: &Closed, session: &Session<'_>) -> Result<ExitCode> {

@@ -86,7 +86,15 @@ pub fn run(mesh: &Mesh, name: &Path, rays: u64, seed: u64, monitor: Monitor<'_>)
 }
 
 fn maker(mesh: &Mesh, seed: u64) -> Maker<'_> {
-    Maker { random: Random::new(seed), rays: 0, size: mesh.faces.len(), round: 0, model: Some(mesh) }
+    Maker {
+        random: Random::new(seed),
+        rays: 0,
+        size: mesh.faces.len(),
+        round: 0,
+        model: Some(mesh),
+        ball: None,
+        turn: 0,
+    }
 }
 
 /// Where rays start.

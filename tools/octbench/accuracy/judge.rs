@@ -5,11 +5,12 @@ use std::time::Instant;
 
 use octrace::Result;
 use octrace::build::BuildOptions;
+use octrace::event::Monitor;
 use octrace::geometry::Hit;
 use octrace::map::Octree;
 use octrace::trace::{Counters, Found, Isa, LinearTracer, OctreeTracer, Tracer, all_hits};
 
-use super::report::{FamilyReport, ModeReport};
+use super::report::{FamilyReport, ModeReport, Tally};
 use crate::bench::{library_ray, octree, skip};
 use crate::families::mesh::Mesh;
 use crate::families::{Ask, Case, Probe};
@@ -21,15 +22,31 @@ const LINEAR: usize = 100;
 /// Meshes from this size on count as large.
 const LARGE: usize = 10_000;
 
+/// And from this size on as very large.
+const MILLION: usize = 1_000_000;
+
+/// Rays that the oracle takes together through a mesh.
+const TOGETHER: usize = 100;
+
+/// Rays between two looks at whether the user wants to stop.
+const PORTION: usize = 2000;
+
 /// Disagreements described, at most.
 const EXAMPLES: usize = 8;
 
 /// A mesh with everything that answers rays on it.
 pub struct Bench {
     oracle: Oracle,
-    modes: Vec<(&'static str, Box<dyn Tracer>)>,
+    files: Vec<File>,
     triangles: usize,
+    /// Time to build the files.
+    seconds: f64,
+}
+
+/// One way to build the mesh's file, with the tracers over it.
+struct File {
     options: BuildOptions,
+    modes: Vec<(&'static str, Box<dyn Tracer>)>,
 }
 
 /// What the oracle says of a probe.
@@ -39,62 +56,79 @@ struct Truth {
 }
 
 impl Bench {
-    /// Builds the file and all tracers over it.
-    pub fn new(mesh: &Mesh, options: &BuildOptions) -> Result<Bench> {
-        let file = octree(mesh, options)?;
-        let oracle = Oracle::new(mesh.triangles().enumerate().map(|(i, c)| (i as u32, c)));
-        let mut modes = octree_modes(&file);
-        if mesh.faces.len() <= LINEAR {
-            modes.push(("linear", Box::new(LinearTracer::new(&file)?)));
-        }
-        Ok(Bench { oracle, modes, triangles: mesh.faces.len(), options: options.clone() })
+    /// Builds the files and all tracers over them.
+    pub fn new(mesh: &Mesh, options: &[BuildOptions]) -> Result<Bench> {
+        let started = Instant::now();
+        let open = |options: &BuildOptions| -> Result<File> {
+            let file = octree(mesh, options)?;
+            let mut modes = octree_modes(&file);
+            if mesh.faces.len() <= LINEAR {
+                modes.push(("linear", Box::new(LinearTracer::new(&file)?)));
+            }
+            Ok(File { options: options.clone(), modes })
+        };
+        let files = options.iter().map(open).collect::<Result<_>>()?;
+        let seconds = started.elapsed().as_secs_f64();
+        let oracle = Oracle::new(mesh.numbered());
+        Ok(Bench { oracle, files, triangles: mesh.faces.len(), seconds })
     }
 
     /// Traces the probes in every mode and compares. `closed`: all crossings of rays from outside must be even in number.
     pub fn judge(&self, probes: &[Probe], closed: bool) -> Result<FamilyReport> {
         let mut report = FamilyReport { rays: probes.len() as u64, ..FamilyReport::default() };
-        report.rays_on_large = if self.triangles >= LARGE { report.rays } else { 0 };
+        let on = |least: usize| if self.triangles >= least { report.rays } else { 0 };
+        (report.rays_on_10k, report.rays_on_1m) = (on(LARGE), on(MILLION));
+        let started = Instant::now();
         let mut counts = TierCounts::default();
-        let truths: Vec<Truth> = probes.iter().map(|p| self.truth(p, &mut counts)).collect();
-        report.hits = truths.iter().filter(|t| t.closest.is_some()).count() as u64;
-        report.oracle_exact = counts.expansion;
-        let mut first: Option<Vec<Option<Found>>> = None;
-        for (name, tracer) in &self.modes {
-            let mut mode = ModeReport { mode: name, ..ModeReport::default() };
-            let found = closest(tracer.as_ref(), probes, &mut mode)?;
-            for (k, (probe, truth)) in probes.iter().zip(&truths).enumerate() {
-                let before = mode.disagreements();
-                compare_closest(&mut mode, truth.closest.as_ref(), found[k].map(|f| f.hit));
-                let same = |f: &Vec<Option<Found>>| bits(f[k]) == bits(found[k]);
-                mode.differs += u64::from(!first.as_ref().is_none_or(same));
-                let any = tracer.any(&library_ray(&probe.ray), skip(probe.skip))?;
-                mode.wrong_any += u64::from(any != truth.closest.is_some());
-                if let Some(all) = &truth.all {
-                    compare_all(&mut mode, probe, closed, all, tracer.as_ref())?;
-                }
-                if mode.disagreements() > before && report.examples.len() < EXAMPLES {
-                    report.examples.push(self.example(name, probe));
-                }
-            }
-            first.get_or_insert(found);
-            report.modes.push(mode);
+        let mut truths: Vec<Truth> = Vec::with_capacity(probes.len());
+        for some in probes.chunks(TOGETHER) {
+            let near = self.oracle.near(&some.iter().map(|p| p.ray).collect::<Vec<_>>());
+            truths.extend(some.iter().zip(&near).map(|(p, near)| self.truth(p, near, &mut counts)));
         }
+        report.hits = truths.iter().filter(|t| t.closest.is_some()).count() as u64;
+        report.oracle = counts;
+        report.times.oracle = started.elapsed().as_secs_f64();
+        let started = Instant::now();
+        let mut first: Option<Vec<Option<Found>>> = None;
+        for file in &self.files {
+            for (name, tracer) in &file.modes {
+                let mut mode = ModeReport { mode: name, ..ModeReport::default() };
+                let found = closest(tracer.as_ref(), probes, &mut mode)?;
+                let tally = &mut mode.tally;
+                for (k, (probe, truth)) in probes.iter().zip(&truths).enumerate() {
+                    let before = tally.disagreements();
+                    compare_closest(tally, truth.closest.as_ref(), found[k].map(|f| f.hit));
+                    let same = |f: &Vec<Option<Found>>| bits(f[k]) == bits(found[k]);
+                    tally.differs += u64::from(!first.as_ref().is_none_or(same));
+                    let any = tracer.any(&library_ray(&probe.ray), skip(probe.skip))?;
+                    tally.wrong_any += u64::from(any != truth.closest.is_some());
+                    if let Some(all) = &truth.all {
+                        compare_all(tally, probe, closed, all, tracer.as_ref())?;
+                    }
+                    if tally.disagreements() > before && report.examples.len() < EXAMPLES {
+                        report.examples.push(self.example(name, probe, &file.options));
+                    }
+                }
+                first.get_or_insert(found);
+                report.add_mode(&mode);
+            }
+        }
+        report.times.trace = started.elapsed().as_secs_f64();
         Ok(report)
     }
 
-    fn truth(&self, probe: &Probe, counts: &mut TierCounts) -> Truth {
+    fn truth(&self, probe: &Probe, near: &[u32], counts: &mut TierCounts) -> Truth {
         match probe.ask {
-            Ask::Closest => Truth { closest: self.oracle.closest(&probe.ray, &probe.skip, counts), all: None },
+            Ask::Closest => Truth { closest: self.oracle.closest_of(near, &probe.ray, &probe.skip, counts), all: None },
             Ask::All => {
-                let all = self.oracle.all(&probe.ray, &probe.skip, counts);
+                let all = self.oracle.all_of(near, &probe.ray, &probe.skip, counts);
                 Truth { closest: all.first().copied(), all: Some(all) }
             }
         }
     }
 
     /// A disagreement in words: the ray's bits, and how the file was built.
-    fn example(&self, mode: &str, probe: &Probe) -> String {
-        let o = &self.options;
+    fn example(&self, mode: &str, probe: &Probe, o: &BuildOptions) -> String {
         format!(
             "{mode}: ray {} on {} triangles, {:?} leaf {} cell {} depth {} brick {:?}",
             super::replay::probe_line(probe),
@@ -108,9 +142,16 @@ impl Bench {
     }
 }
 
-/// Builds a case's file, traces its rays, and compares.
-pub fn run_case(case: &Case, options: &BuildOptions) -> Result<FamilyReport> {
-    Bench::new(&case.mesh, options)?.judge(&case.probes, case.closed)
+/// Builds a case's files, traces its rays, and compares. [`octrace::Error::Interrupted`] soon after the user asks to stop.
+pub fn run_case(case: &Case, options: &[BuildOptions], monitor: Monitor<'_>) -> Result<FamilyReport> {
+    let bench = Bench::new(&case.mesh, options)?;
+    let mut report = FamilyReport::default();
+    report.times.build = bench.seconds;
+    for probes in case.probes.chunks(PORTION) {
+        monitor.check()?;
+        report.merge(&bench.judge(probes, case.closed)?);
+    }
+    Ok(report)
 }
 
 /// A tracer for each instruction set of this processor.
@@ -126,11 +167,11 @@ fn closest(tracer: &dyn Tracer, probes: &[Probe], mode: &mut ModeReport) -> Resu
     for probe in probes {
         let mut counters = Counters::default();
         found.push(tracer.closest_counted(&library_ray(&probe.ray), skip(probe.skip), &mut counters)?);
-        mode.tiers[0] += u64::from(counters.doubts > 0);
-        mode.tiers[1] += u64::from(counters.exact > 0);
+        mode.tally.rays_f64 += u64::from(counters.doubts > 0);
+        mode.tally.rays_exact += u64::from(counters.exact > 0);
     }
-    mode.seconds = started.elapsed().as_secs_f64();
-    mode.rays = probes.len() as u64;
+    mode.tally.seconds = started.elapsed().as_secs_f64();
+    mode.tally.traced = probes.len() as u64;
     Ok(found)
 }
 
@@ -139,7 +180,7 @@ fn bits(found: Option<Found>) -> [u32; 4] {
     [hit.t.to_bits(), hit.face.0, hit.u.to_bits(), hit.v.to_bits()]
 }
 
-fn compare_closest(mode: &mut ModeReport, truth: Option<&Answer>, found: Option<Hit>) {
+fn compare_closest(mode: &mut Tally, truth: Option<&Answer>, found: Option<Hit>) {
     match (truth, found) {
         (None, None) => {}
         (Some(_), None) => mode.missed += 1,
@@ -179,13 +220,7 @@ fn ulps_f64(exact: f64, got: f32) -> f64 {
 }
 
 /// The iterator over all hits: the oracle's list, in its order, each once; even in number from outside a closed mesh.
-fn compare_all(
-    mode: &mut ModeReport,
-    probe: &Probe,
-    closed: bool,
-    truth: &[Answer],
-    tracer: &dyn Tracer,
-) -> Result<()> {
+fn compare_all(mode: &mut Tally, probe: &Probe, closed: bool, truth: &[Answer], tracer: &dyn Tracer) -> Result<()> {
     let mut found = Vec::new();
     for hit in all_hits(tracer, &library_ray(&probe.ray), skip(probe.skip)) {
         found.push(hit?.hit.face.0);

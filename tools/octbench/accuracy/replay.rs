@@ -13,6 +13,7 @@ use std::collections::HashMap;
 use std::path::Path;
 
 use octrace::build::BuildOptions;
+use octrace::event::Monitor;
 use octrace::format::SplitMode;
 use octrace::{Error, Result};
 
@@ -50,7 +51,7 @@ const MOST_TRIALS: usize = 300;
 
 /// The case with the rays that disagree only (the first few of them) and with as few triangles as still show a disagreement: ever
 /// smaller runs of faces are left out while it lasts (Zeller and Hildebrandt 2002). A case that agrees comes back whole.
-pub fn reduced(case: &Case, options: &BuildOptions) -> Result<Case> {
+pub fn reduced(case: &Case, options: &[BuildOptions]) -> Result<Case> {
     let bench = judge::Bench::new(&case.mesh, options)?;
     let mut wrong = Vec::new();
     for probe in &case.probes {
@@ -69,7 +70,8 @@ pub fn reduced(case: &Case, options: &BuildOptions) -> Result<Case> {
             let fewer = without(&best, from..(from + run).min(best.mesh.faces.len()));
             trials += 1;
             // Without some of its faces a closed mesh is none; the disagreement must show by itself then.
-            if !fewer.mesh.faces.is_empty() && judge::run_case(&fewer, options)?.disagreements() > 0 {
+            if !fewer.mesh.faces.is_empty() && judge::run_case(&fewer, options, Monitor::silent())?.disagreements() > 0
+            {
                 best = fewer;
             } else {
                 from += run;
@@ -107,10 +109,13 @@ fn without(case: &Case, faces: std::ops::Range<usize>) -> Case {
 }
 
 /// A case as text.
-pub fn to_text(title: &str, case: &Case, o: &BuildOptions) -> String {
-    let split = SPLITS.iter().find(|s| s.1 == o.split).map_or("sah", |s| s.0);
-    let brick = o.brick.map_or("-".to_owned(), |n| n.to_string());
-    let mut text = format!("# {title}\nbuild {split} {} {} {} {brick}\n", o.leaf, o.cell, o.depth);
+pub fn to_text(title: &str, case: &Case, options: &[BuildOptions]) -> String {
+    let mut text = format!("# {title}\n");
+    for o in options {
+        let split = SPLITS.iter().find(|s| s.1 == o.split).map_or("sah", |s| s.0);
+        let brick = o.brick.map_or("-".to_owned(), |n| n.to_string());
+        text += &format!("build {split} {} {} {} {brick}\n", o.leaf, o.cell, o.depth);
+    }
     for p in &case.mesh.points {
         text += &format!("v {:08x} {:08x} {:08x}\n", p[0].to_bits(), p[1].to_bits(), p[2].to_bits());
     }
@@ -189,11 +194,8 @@ impl Replay {
         if self.builds.is_empty() {
             self.builds.push(BuildOptions::default());
         }
-        let mut report = FamilyReport::default();
-        for options in &self.builds {
-            report = report.merge(judge::run_case(&self.case, options)?);
-        }
-        Ok(report.finish(0, name))
+        let report = judge::run_case(&self.case, &self.builds, Monitor::silent())?;
+        Ok(FamilyReport { name: name.to_owned(), ..report })
     }
 }
 
@@ -214,7 +216,7 @@ mod tests {
 
     #[test]
     fn only_rays_that_disagree_are_kept_and_come_back() {
-        let (case, options) = (case(), BuildOptions { brick: Some(7), ..BuildOptions::default() });
+        let (case, options) = (case(), [BuildOptions { brick: Some(7), ..BuildOptions::default() }]);
         let kept = reduced(&case, &options).unwrap();
         let kept_rays: Vec<String> = kept.probes.iter().map(probe_line).collect();
         assert_eq!(kept_rays, [1, 3].map(|k| probe_line(&case.probes[k])));
@@ -222,7 +224,7 @@ mod tests {
         let path = folder.path().join("case.txt");
         std::fs::write(&path, to_text("a title", &kept, &options)).unwrap();
         let again = read(&path).unwrap();
-        assert_eq!(again.builds, [options]);
+        assert_eq!(again.builds, options);
         assert_eq!((&again.case.mesh.points, &again.case.mesh.faces), (&kept.mesh.points, &kept.mesh.faces));
         assert_eq!(again.case.probes.iter().map(probe_line).collect::<Vec<_>>(), kept_rays);
         let modes = octrace::trace::Isa::available().len() as u64 + 1;

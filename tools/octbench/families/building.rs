@@ -17,7 +17,8 @@ pub const FAMILIES: &[Family] = &[
 
 fn identical(m: &mut Maker<'_>) -> Case {
     let one: [[f32; 3]; 3] = [0; 3].map(|_| [0; 3].map(|_| m.random.signed() as f32));
-    let copies = m.random.pick(&[3, 17, 33, 129]);
+    // 2 * capacity + 1 for leaves of 1, 2, 8, 16 and cells of 64.
+    let copies = m.random.pick(&[3, 5, 17, 33, 129]);
     let mut mesh = Mesh::soup(vec![one; copies]);
     let around = mesh::soup(m.size.clamp(2, 5000), 0.1, &mut m.random);
     if m.random.chance(0.5) {
@@ -33,7 +34,7 @@ fn identical(m: &mut Maker<'_>) -> Case {
 
 fn one_vertex(m: &mut Maker<'_>) -> Case {
     let hub = [0.1f32, 0.3, 0.7];
-    let n = m.hub_size(2000);
+    let n = m.size;
     let mesh = Mesh::soup((0..n).map(|_| {
         let tip = |m: &mut Maker| std::array::from_fn(|i| hub[i] + m.random.direction()[i] as f32);
         [hub, tip(m), tip(m)]
@@ -48,6 +49,7 @@ fn one_vertex(m: &mut Maker<'_>) -> Case {
 fn flat(m: &mut Maker<'_>) -> Case {
     let n = ((m.size as f64 / 2.0).sqrt().ceil() as usize).max(1);
     let z = m.random.pick(&[0.0, 0.5, 0.1, 1e6]);
+    // A mesh of which nothing can be hit is refused by the builder; so one real triangle is always there.
     let mesh = match m.random.below(4) {
         0 => mesh::field(n, 0.0, &mut m.random).placed(1.0, [0.0, 0.0, z]),
         1 => Mesh::soup([[[0.0, 0.0, z], [1.0, 0.0, z], [0.0, 1.0, z]]]),
@@ -74,8 +76,11 @@ fn flat(m: &mut Maker<'_>) -> Case {
 }
 
 fn teapot(m: &mut Maker<'_>) -> Case {
-    let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
-    let place = [0; 3].map(|_| (5e3 * m.random.signed()) as f32);
+    // The f32 filter, whose bound grows with the stadium, leaves all of the teapot to f64: a small one will do.
+    let levels = ((m.size.min(600) as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
+    // Far from zero f32 leaves little of the teapot.
+    let far = m.random.pick(&[0.0, 1.0, 30.0, 5e3]);
+    let place = [0; 3].map(|_| (far * m.random.signed()) as f32);
     let mut mesh = mesh::sphere(levels, 0.1, &mut m.random).placed(1e-3, place);
     let small = mesh.faces.len();
     mesh.append(&mesh::cube().placed(1e4, [0.0; 3]));
@@ -89,6 +94,9 @@ fn teapot(m: &mut Maker<'_>) -> Case {
 }
 
 fn giant(m: &mut Maker<'_>) -> Case {
+    if m.size >= 10_000 && m.round % 10 == 1 {
+        return many_leaves(m);
+    }
     let mut mesh = mesh::soup(m.size.max(16), 0.01, &mut m.random);
     let far = [0; 3].map(|_| m.random.pick(&[1.0f32, -1.0]));
     let near = far.map(|x| -x);
@@ -109,16 +117,40 @@ fn giant(m: &mut Maker<'_>) -> Case {
     })
 }
 
+/// One triangle that 120,000 small ones, strewn over it, spread over more than 10^5 leaves of a strict octree.
+fn many_leaves(m: &mut Maker<'_>) -> Case {
+    let giant: [[f32; 3]; 3] = [[-1.0, -1.0, -0.9], [1.0, -0.8, 1.0], [-0.9, 1.1, 0.8]];
+    let strewn = |m: &mut Maker<'_>| {
+        let (u, v) = (m.random.unit(), m.random.unit());
+        let (u, v) = if u + v > 1.0 { (1.0 - u, 1.0 - v) } else { (u, v) };
+        let at = |i: usize| {
+            let [a, b, c] = giant.map(|p| f64::from(p[i]));
+            a + u * (b - a) + v * (c - a)
+        };
+        let middle = [at(0), at(1), at(2)];
+        [0; 3].map(|_| middle.map(|x| (x + 1e-4 * m.random.signed()) as f32))
+    };
+    let mut triangles = vec![giant];
+    triangles.extend((0..120_000).map(|_| strewn(m)));
+    let mut case = m.case(Mesh::soup(triangles), |m, mesh| {
+        let o = m.origin(mesh);
+        let target = if m.random.chance(0.5) { m.target(mesh) } else { strewn(m)[0] };
+        ray(o, toward(o, target))
+    });
+    case.layout.strict = Some(2);
+    case
+}
+
 fn plane_misses_cell(m: &mut Maker<'_>) -> Case {
     // Triangles that cut off the corner of a dyadic cell, or miss it by an ulp.
     let mut mesh = mesh::cube().placed(0.5, [0.5; 3]);
     for _ in 0..m.size.clamp(8, 5000) {
         let corner = [0; 3].map(|_| (1 + m.random.below(15)) as f32 / 16.0);
-        let size = 1.0 / 32.0;
+        let signs = [0; 3].map(|_| m.random.pick(&[1.0 / 32.0, -1.0 / 32.0]));
         let triangle: [[f32; 3]; 3] = std::array::from_fn(|k| {
             let mut p = corner;
-            p[k] += size;
-            p[(k + 1) % 3] -= size;
+            p[k] += signs[k];
+            p[(k + 1) % 3] -= signs[(k + 1) % 3];
             p.map(|x| m.random.pick(&[x.next_down(), x, x.next_up()]))
         });
         mesh.append(&Mesh::soup([triangle]));
@@ -151,13 +183,16 @@ fn every_layout(m: &mut Maker<'_>) -> Case {
         let o = m.origin(mesh);
         ray(o, toward(o, m.target(mesh)))
     });
-    case.layout = Layout { brick: Some(m.random.pick(&[1, 7, 64, 4096])) };
+    // Pages of one triangle are for small meshes: each is a file of its own to the builder.
+    let least = if m.size < 500 { 1 } else { 64 };
+    case.layout = Layout { brick: Some(m.random.pick(&[least, 7.max(least), 64, 4096])), ways: 3, ..Layout::default() };
     case
 }
 
 fn odd_coordinates(m: &mut Maker<'_>) -> Case {
     let largest = m.random.pick(&[f32::MAX, 1e37, 1e-38, 1e-42, f32::from_bits(3)]);
-    let mut mesh = mesh::soup(m.size.clamp(4, 2000), 0.5, &mut m.random);
+    let large = if m.size < 10_000 { 0.5 } else { 0.05 };
+    let mut mesh = mesh::soup(m.size.max(4), large, &mut m.random);
     for p in &mut mesh.points {
         *p = p.map(|x| (x / 2.0).clamp(-1.0, 1.0) * largest);
     }

@@ -91,7 +91,7 @@ fn invalid(m: &mut Maker<'_>) -> Case {
         match m.random.below(6) {
             0 => r.o[axis] = odd,
             1 => r.d[axis] = odd,
-            2 => r.d = [m.random.pick(&[0.0, -0.0]); 3],
+            2 => r.d = [0; 3].map(|_| m.random.pick(&[0.0, -0.0])),
             3 => (r.tmin, r.tmax) = (1.0, 0.5),
             4 => r.tmin = f32::NAN,
             _ => r.tmax = f32::NAN,

@@ -19,7 +19,8 @@ fn vertex(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let o = m.origin(mesh);
-        ray(o, toward(o, m.vertex(mesh)))
+        let v = m.next_corner(mesh);
+        ray(o, toward(o, v))
     })
 }
 
@@ -27,8 +28,9 @@ fn edge_middle(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let o = m.origin(mesh);
-        let (a, b) = m.edge(mesh);
-        ray(o, toward(o, std::array::from_fn(|i| (a[i] + b[i]) / 2.0)))
+        let (a, b) = m.next_edge(mesh);
+        // Halves first: the sum of two huge coordinates is no f32.
+        ray(o, toward(o, std::array::from_fn(|i| a[i] / 2.0 + b[i] / 2.0)))
     })
 }
 
@@ -42,10 +44,18 @@ fn on_grid(mut mesh: Mesh) -> Mesh {
 
 fn exactly_vertex(m: &mut Maker<'_>) -> Case {
     let levels = ((m.size as f64 / 8.0).max(1.0).log2() / 2.0).ceil() as u32;
-    let mesh = on_grid(mesh::sphere(levels, 0.1, &mut m.random));
+    let n = ((m.size as f64 / 2.0).sqrt().ceil() as usize).max(1);
+    let mesh = on_grid(match m.random.below(3) {
+        0 => mesh::field(n, 0.5, &mut m.random),
+        1 => mesh::soup(m.size, 0.3, &mut m.random),
+        _ => mesh::sphere(levels, 0.1, &mut m.random),
+    });
+    // Powers of two keep the grid.
+    let scale = 2f32.powi(m.random.pick(&[0, 0, 8, -8, 60, -60, 90, -90]));
+    let mesh = mesh.placed(scale, [0.0; 3]);
     m.case(mesh, |m, mesh| {
-        let v = m.vertex(mesh);
-        let o = [0; 3].map(|_| (m.random.signed() * 768.0).round() as f32 / 256.0);
+        let v = m.next_corner(mesh);
+        let o = [0; 3].map(|_| scale * (m.random.signed() * 768.0).round() as f32 / 256.0);
         let s = m.random.pick(&[0.25, 0.5, 1.0, 2.0, -1.0]);
         let mut r = ray(o, toward(o, v).map(|x| s * x));
         r.tmin = f32::NEG_INFINITY;
@@ -56,7 +66,7 @@ fn exactly_vertex(m: &mut Maker<'_>) -> Case {
 fn axis_vertex(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
-        let mut o = m.vertex(mesh);
+        let mut o = m.next_corner(mesh);
         let axis = m.random.below(3);
         o[axis] = m.outside(mesh)[axis];
         let mut d = [0.0; 3];
@@ -68,25 +78,47 @@ fn axis_vertex(m: &mut Maker<'_>) -> Case {
 }
 
 fn quad_diagonal(m: &mut Maker<'_>) -> Case {
-    let points = vec![[-10.0, -10.0, 0.0], [10.0, -10.0, 0.0], [10.0, 10.0, 0.0], [-10.0, 10.0, 0.0]];
-    let quad = Mesh::new(points, vec![[0, 1, 2], [0, 2, 3]]);
-    m.case(quad, |m, _| {
+    // Quads side by side, the middle one's diagonal through zero.
+    let side = (((m.size as f64 / 2.0).sqrt() as usize) | 1).max(1);
+    let at = |k: usize| 20.0 * k as f32 - 10.0 * side as f32;
+    let points = (0..(side + 1) * (side + 1)).map(|k| [at(k % (side + 1)), at(k / (side + 1)), 0.0]).collect();
+    let v = |x: usize, y: usize| (y * (side + 1) + x) as u32;
+    let faces = (0..side * side).map(|k| (k % side, k / side));
+    let faces = faces
+        .flat_map(|(x, y)| [[v(x, y), v(x + 1, y), v(x + 1, y + 1)], [v(x, y), v(x + 1, y + 1), v(x, y + 1)]])
+        .collect();
+    m.case(Mesh::new(points, faces), |m, _| {
         let d = [0.304_584_47, 0.304_584_47, -0.902_472_5];
         let nudge = m.random.below(5) as i32 - 2;
         let x = f32::from_bits(f32::to_bits(d[0]).wrapping_add_signed(nudge));
-        let z = 1.0 + m.random.below(20) as f32;
-        ray([0.0, 0.0, z], if m.random.chance(0.5) { d } else { [x, d[1], d[2]] })
+        let z = if m.random.chance(0.5) { 10.0 } else { 1.0 + m.random.below(20) as f32 };
+        // Another diagonal: both moved by whole quads.
+        let far = 20.0 * (m.random.below(side) as f32 - (side / 2) as f32);
+        let sign = m.random.pick(&[1.0, -1.0]);
+        let [x, y] = if m.random.chance(0.5) { [d[0], d[1]] } else { [x, d[1]] };
+        ray([far, far, z], [sign * x, sign * y, d[2]])
     })
 }
 
 fn fan_hub(m: &mut Maker<'_>) -> Case {
-    let n = m.hub_size(10_000);
+    let n = m.size.max(3);
     let hub = [0; 3].map(|_| m.random.signed() as f32);
     let made = mesh::fan(n, hub, &mut m.random);
-    let fan = m.place(made);
+    if m.random.chance(0.5) {
+        // Through the hub up to the rounding of the direction.
+        let fan = m.place(made);
+        return m.case(fan, |m, mesh| {
+            let o = m.origin(mesh);
+            ray(o, toward(o, mesh.points[0]))
+        });
+    }
+    // Exactly through the hub: hub and origins on a grid.
+    let scale = 2f32.powi(m.random.pick(&[0, 10, -10, 90, -90]));
+    let fan = on_grid(made).placed(scale, [0.0; 3]);
     m.case(fan, |m, mesh| {
-        let o = m.origin(mesh);
-        ray(o, toward(o, mesh.points[0]))
+        let o = [0; 3].map(|_| scale * (m.random.signed() * 768.0).round() as f32 / 256.0);
+        let s = m.random.pick(&[0.25, 0.5, 1.0, 2.0]);
+        ray(o, toward(o, mesh.points[0]).map(|x| s * x))
     })
 }
 

@@ -37,6 +37,11 @@ impl Mesh {
         (0..self.faces.len()).map(|i| self.corners(i))
     }
 
+    /// All triangles with their numbers.
+    pub fn numbered(&self) -> impl Iterator<Item = (u32, Corners)> + '_ {
+        (0..).zip(self.triangles())
+    }
+
     /// Adds another mesh.
     pub fn append(&mut self, other: &Mesh) {
         let base = self.points.len() as u32;
@@ -166,8 +171,12 @@ pub fn slivers(n: usize, random: &mut Random) -> Mesh {
                 c
             }
             _ => {
+                // Edges in the proportion 11.2 : 9.7 : 1.4, rounded to a tenth (exactly so they would not close).
                 let side = random.direction();
-                std::array::from_fn(|i| a[i] + 0.866 * along[i] as f32 + 0.0087 * side[i] as f32)
+                let across = (0..3).map(|i| side[i] * along[i]).sum::<f64>();
+                std::array::from_fn(|i| {
+                    (f64::from(a[i]) + (9.72 * along[i] + 0.1 * (side[i] - across * along[i])) / 11.16) as f32
+                })
             }
         };
         [a, b, c]

@@ -11,6 +11,8 @@ mod planes;
 mod secondary;
 mod shape;
 mod streaming;
+#[cfg(test)]
+mod tests;
 
 use mesh::Mesh;
 
@@ -42,6 +44,10 @@ pub struct Probe {
 pub struct Layout {
     /// Most triangles a page; `None`: vary.
     pub brick: Option<u32>,
+    /// A strict octree to its full depth, of so many triangles a cell.
+    pub strict: Option<u32>,
+    /// So many files built in different ways, whose answers must have the same bits; 0 = one.
+    pub ways: usize,
 }
 
 /// A mesh and its rays.
@@ -69,7 +75,25 @@ pub struct Maker<'a> {
     pub round: usize,
     /// A mesh to aim at instead of one of the family's own.
     pub model: Option<&'a Mesh>,
+    /// The ball of the mesh that rays are being aimed at, once it was needed.
+    pub ball: Option<Ball>,
+    /// Which corner or edge of the mesh had its turn.
+    pub turn: usize,
 }
+
+/// Centre and radius of a mesh, and which mesh it was.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ball {
+    mesh: (usize, usize),
+    center: [f64; 3],
+    radius: f64,
+}
+
+/// Families of triangles around one point, where a ray needs an exact test of every triangle.
+pub const HUBS: [u32; 2] = [6, 25];
+
+/// Families whose rays need exact tests of many triangles, ten to a hundred times as costly as others.
+pub const DEAR: [u32; 7] = [6, 16, 24, 25, 27, 35, 53];
 
 /// Families that only aim, at whatever mesh.
 pub const ON_ANY_MESH: [u32; 16] = [1, 2, 4, 10, 11, 12, 20, 21, 22, 31, 36, 41, 42, 44, 48, 52];
@@ -167,18 +191,22 @@ impl Maker<'_> {
         mesh.placed(scale, offset)
     }
 
-    /// How many triangles meet at a hub: up to 300; seldom `most`, with few rays, since each ray needs exact tests of them all.
-    pub fn hub_size(&mut self, most: usize) -> usize {
-        if self.size >= 10_000 && self.round % 20 == 1 {
-            self.rays = self.rays.min(10);
-            return most;
+    /// Centre and radius of a mesh, looked for once.
+    fn ball(&mut self, mesh: &Mesh) -> ([f64; 3], f64) {
+        let this = (mesh.points.as_ptr() as usize, mesh.points.len());
+        match self.ball {
+            Some(Ball { mesh, center, radius }) if mesh == this => (center, radius),
+            _ => {
+                let (center, radius) = mesh.ball();
+                self.ball = Some(Ball { mesh: this, center, radius });
+                (center, radius)
+            }
         }
-        self.size.clamp(3, 300)
     }
 
     /// An origin about a mesh: inside its ball, around it, or far away.
     pub fn origin(&mut self, mesh: &Mesh) -> [f32; 3] {
-        let (center, radius) = mesh.ball();
+        let (center, radius) = self.ball(mesh);
         let far = self.random.pick(&[0.2, 0.9, 1.5, 3.0, 3.0, 30.0]);
         let d = self.random.direction();
         std::array::from_fn(|i| (center[i] + far * radius * d[i]) as f32)
@@ -186,7 +214,7 @@ impl Maker<'_> {
 
     /// An origin outside the mesh's ball.
     pub fn outside(&mut self, mesh: &Mesh) -> [f32; 3] {
-        let (center, radius) = mesh.ball();
+        let (center, radius) = self.ball(mesh);
         let far = self.random.pick(&[1.5, 3.0, 10.0]);
         let d = self.random.direction();
         std::array::from_fn(|i| (center[i] + far * radius * d[i]) as f32)
@@ -196,6 +224,20 @@ impl Maker<'_> {
     pub fn vertex(&mut self, mesh: &Mesh) -> [f32; 3] {
         let face = mesh.faces[self.random.below(mesh.faces.len())];
         mesh.points[face[self.random.below(3)] as usize]
+    }
+
+    /// The corners of all faces, one after the other; again from the start when all have had their turn.
+    pub fn next_corner(&mut self, mesh: &Mesh) -> [f32; 3] {
+        self.turn += 1;
+        let corner = self.turn % (3 * mesh.faces.len());
+        mesh.corners(corner / 3)[corner % 3]
+    }
+
+    /// The ends of the edges of all faces, in the same manner.
+    pub fn next_edge(&mut self, mesh: &Mesh) -> ([f32; 3], [f32; 3]) {
+        let a = self.next_corner(mesh);
+        let edge = self.turn % (3 * mesh.faces.len());
+        (a, mesh.corners(edge / 3)[(edge + 1) % 3])
     }
 
     /// The two ends of an edge of some face.

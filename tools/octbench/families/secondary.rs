@@ -40,7 +40,7 @@ fn leaving_case(m: &mut Maker<'_>, mesh: Mesh, direction: impl Fn(&mut Maker<'_>
 }
 
 fn grazing_mirror(m: &mut Maker<'_>) -> Case {
-    let mesh = m.any_mesh();
+    let mesh = if m.model.is_none() && m.random.chance(0.3) { creases(m) } else { m.any_mesh() };
     leaving_case(m, mesh, |m, n| {
         let w = m.random.direction();
         let along = (0..3).map(|i| w[i] * n[i]).sum::<f64>();
@@ -49,18 +49,39 @@ fn grazing_mirror(m: &mut Maker<'_>) -> Case {
     })
 }
 
+/// Long roofs side by side: convex ridges and concave creases in turn.
+fn creases(m: &mut Maker<'_>) -> Mesh {
+    let n = (m.size / 2).max(2);
+    let height = m.random.pick(&[1e-4, 0.01, 1.0]);
+    let points = (0..2 * (n + 1))
+        .map(|k| {
+            let (x, up) = ((k / 2) as f32 / n as f32, (k / 2) % 2 == 1);
+            [2.0 * x - 1.0, (k % 2) as f32 * 2.0 - 1.0, if up { height / n as f32 } else { 0.0 }]
+        })
+        .collect();
+    let v = |k: usize| k as u32;
+    let faces =
+        (0..n).flat_map(|k| [[v(2 * k), v(2 * k + 2), v(2 * k + 1)], [v(2 * k + 1), v(2 * k + 2), v(2 * k + 3)]]);
+    let mesh = Mesh::new(points, faces.collect());
+    m.place(mesh)
+}
+
 fn ends_on_light(m: &mut Maker<'_>) -> Case {
     let mut mesh = m.any_mesh();
     // A light of one triangle, and blockers just before it and at 0.99995 of the way.
     let (center, radius) = mesh.ball();
-    let at = |s: f64, k: usize| -> [f32; 3] {
-        let spread = [[1.0, 0.0, 0.0], [-0.5, 0.87, 0.0], [-0.5, -0.87, 0.0]][k];
-        std::array::from_fn(|i| (center[i] + radius * (if i == 2 { s } else { spread[i] })).clamp(-3e38, 3e38) as f32)
+    let height = |s: f64| (center[2] + radius * s).clamp(-3e38, 3e38) as f32;
+    let at = |z: f32, k: usize| -> [f32; 3] {
+        let [x, y] = [[1.0, 0.0], [-0.5, 0.87], [-0.5, -0.87]][k];
+        [(center[0] + radius * x).clamp(-3e38, 3e38) as f32, (center[1] + radius * y).clamp(-3e38, 3e38) as f32, z]
     };
     let light = mesh.faces.len() as u32;
-    let heights = [3.0, 3.0f32.next_down().into(), 1.0 + 2.0 * 0.99995];
-    for height in heights {
-        mesh.append(&Mesh::soup([[at(height, 0), at(height, 1), at(height, 2)]]));
+    // One or both blockers, so that each is what decides for some of the rays.
+    let blockers = m.random.pick(&[[true, false], [false, true], [true, true], [false, false]]);
+    let heights =
+        [(height(3.0), true), (height(3.0).next_down(), blockers[0]), (height(1.0 + 2.0 * 0.99995), blockers[1])];
+    for (z, _) in heights.into_iter().filter(|(_, there)| *there) {
+        mesh.append(&Mesh::soup([[at(z, 0), at(z, 1), at(z, 2)]]));
     }
     let probes = (0..m.rays)
         .map(|_| {
@@ -107,8 +128,8 @@ fn mirror_box(m: &mut Maker<'_>) -> Case {
     if m.random.chance(0.5) {
         mesh.points.iter_mut().for_each(|p| *p = [c * p[0] - s * p[1], s * p[0] + c * p[1], p[2]]);
     }
-    let scale = m.random.pick(&[1.0, 1e-6, 1e6]);
-    let offset = m.random.pick(&[0.0, 1e6]);
+    // An offset of 1e6 leaves nothing of a box of 1e-6.
+    let (scale, offset) = m.random.pick(&[(1.0, 0.0), (1e-6, 0.0), (1e6, 0.0), (1.0, 1e6), (1e6, 1e6), (1e-6, 1.0)]);
     let mesh = mesh.placed(scale, [offset, 0.0, 0.0]);
     leaving_case(m, mesh, |m, _| m.random.direction())
 }

@@ -2,6 +2,7 @@
 
 use super::{Case, Family, Maker, mesh, ray, toward};
 use crate::families::mesh::Mesh;
+use crate::oracle::OracleRay;
 
 pub const FAMILIES: &[Family] = &[
     Family { number: 33, name: "zero-area triangles inside a closed mesh", make: zero_area },
@@ -35,27 +36,53 @@ fn zero_area(m: &mut Maker<'_>) -> Case {
 }
 
 fn needles(m: &mut Maker<'_>) -> Case {
-    let made = mesh::slivers(m.size.clamp(3, 3000), &mut m.random);
+    let made = mesh::slivers(m.size.max(3), &mut m.random);
     let mesh = m.place(made);
     m.case(mesh, |m, mesh| {
         let target = m.target(mesh);
-        let (center, radius) = mesh.ball();
+        let (_, radius) = m.ball(mesh);
+        if m.random.chance(0.3) {
+            return half_a_degree(m, mesh);
+        }
         let o = if m.random.chance(0.5) {
             m.origin(mesh)
         } else {
             // From within the plane of some needle, half a degree up.
             let [a, b, c] = mesh.corners(m.random.below(mesh.faces.len())).map(|p| p.map(f64::from));
             std::array::from_fn(|i| {
-                (a[i] + 2.0 * (b[i] - a[i]) + (c[i] - a[i]) + 0.0087 * radius * m.random.signed() + 0.0 * center[i])
-                    as f32
+                (a[i] + 2.0 * (b[i] - a[i]) + (c[i] - a[i]) + 0.0087 * radius * m.random.signed()) as f32
             })
         };
         ray(o, toward(o, target))
     })
 }
 
+/// A ray that meets the plane of some triangle at half a degree, within the triangle.
+fn half_a_degree(m: &mut Maker<'_>, mesh: &Mesh) -> OracleRay {
+    let [a, b, c] = mesh.corners(m.random.below(mesh.faces.len())).map(|p| p.map(f64::from));
+    let (e, f) = ([0, 1, 2].map(|i| b[i] - a[i]), [0, 1, 2].map(|i| c[i] - a[i]));
+    let unit = |v: [f64; 3]| {
+        let largest = v.iter().fold(f64::MIN_POSITIVE, |m, x| m.max(x.abs()));
+        let v = v.map(|x| x / largest);
+        let length = v.iter().map(|x| x * x).sum::<f64>().sqrt().max(1e-300);
+        v.map(|x| x / length)
+    };
+    let (e1, f1) = (unit(e), unit(f));
+    let n = unit([e1[1] * f1[2] - e1[2] * f1[1], e1[2] * f1[0] - e1[0] * f1[2], e1[0] * f1[1] - e1[1] * f1[0]]);
+    let (s, t) = (m.random.signed(), m.random.signed());
+    let along = unit([0, 1, 2].map(|i| s * e1[i] + t * f1[i]));
+    let d = [0, 1, 2].map(|i| along[i] + n[i] * m.random.pick(&[1.0, -1.0]) * 0.5f64.to_radians().tan());
+    let (u, v) = (0.5 * m.random.unit(), 0.5 * m.random.unit());
+    let far = e.iter().chain(&f).fold(0.0f64, |m, x| m.max(x.abs())) * m.random.pick(&[0.5, 3.0, 30.0]);
+    let o = [0, 1, 2].map(|i| (a[i] + u * e[i] + v * f[i] - far * d[i]) as f32);
+    ray(o, d.map(|x| x as f32))
+}
+
 fn coplanar(m: &mut Maker<'_>) -> Case {
     let n = ((m.size as f64 / 2.0).sqrt().ceil() as usize).clamp(1, 100);
+    if m.random.chance(0.3) {
+        return coplanar_aslant(m);
+    }
     let mesh = mesh::field(n, 0.0, &mut m.random);
     m.case(mesh, |m, mesh| {
         let inside = m.random.chance(0.5);
@@ -71,7 +98,84 @@ fn coplanar(m: &mut Maker<'_>) -> Case {
     })
 }
 
+/// The same in the plane x + y + z = 0, in whole numbers, so that rays are coplanar exactly.
+fn coplanar_aslant(m: &mut Maker<'_>) -> Case {
+    let scale = 2f32.powi(m.random.pick(&[0, 0, -60, 60]));
+    let point = |m: &mut Maker<'_>, far: f64| {
+        let (x, y) = ((far * m.random.signed()).round() as f32, (far * m.random.signed()).round() as f32);
+        [scale * x, scale * y, scale * -(x + y)]
+    };
+    let triangles: Vec<_> = (0..m.size.clamp(2, 200)).map(|_| [0; 3].map(|_| point(m, 1000.0))).collect();
+    m.case(Mesh::soup(triangles), |m, mesh| {
+        let from = m.random.pick(&[500.0, 5000.0]);
+        let (o, to) = (point(m, from), point(m, 1000.0));
+        let o = if m.random.chance(0.3) { m.vertex(mesh) } else { o };
+        ray(o, toward(o, to))
+    })
+}
+
+/// Whole numbers x, y with x a + y b = gcd(a, b).
+fn bezout(a: i64, b: i64) -> (i64, i64, i64) {
+    if b == 0 {
+        return (a, 1, 0);
+    }
+    let (g, x, y) = bezout(b, a.rem_euclid(b));
+    (g, y, x - a.div_euclid(b) * y)
+}
+
+/// Triangles and rays in whole numbers with n.d = 1 or -1 exactly: the least that is not zero.
+fn one_unit_off(m: &mut Maker<'_>) -> Case {
+    let scale = 2f32.powi(m.random.pick(&[0, 0, -60, 60]));
+    let whole = |p: [i64; 3]| p.map(|x| scale * x as f32);
+    let (mut triangles, mut aims) = (Vec::new(), Vec::new());
+    while triangles.len() < m.size.clamp(2, 12_000) {
+        let a = [0; 3].map(|_| m.random.below(2000) as i64 - 1000);
+        let (e, f) =
+            ([0; 3].map(|_| m.random.below(200) as i64 - 100), [0; 3].map(|_| m.random.below(200) as i64 - 100));
+        let n = [e[1] * f[2] - e[2] * f[1], e[2] * f[0] - e[0] * f[2], e[0] * f[1] - e[1] * f[0]];
+        // d = s with n.s = gcd(n) = 1, plus any steps along the plane.
+        let (g, x, y) = bezout(n[0], n[1]);
+        let (h, p, z) = bezout(g, n[2]);
+        if h.abs() != 1 {
+            continue;
+        }
+        triangles.push([a, [0, 1, 2].map(|i| a[i] + e[i]), [0, 1, 2].map(|i| a[i] + f[i])].map(whole));
+        aims.push((a, e, f, [p * x, p * y, z]));
+    }
+    m.case(Mesh::soup(triangles), |m, _| {
+        let (a, e, f, s) = aims[m.random.below(aims.len())];
+        // s may be long; the steps that shorten it most keep it within 24 bits.
+        let length = |v: &[i64; 3]| v.iter().map(|x| (x * x) as f64).sum::<f64>();
+        let nearest = |v: [i64; 3], w: [i64; 3]| {
+            let dot: i64 = (0..3).map(|i| v[i] * w[i]).sum();
+            (dot as f64 / length(&w).max(1.0)).round() as i64
+        };
+        let mut d = s;
+        for _ in 0..20 {
+            for w in [e, f] {
+                let k = nearest(d, w);
+                d = [0, 1, 2].map(|i| d[i] - k * w[i]);
+            }
+        }
+        let (k, l) = (m.random.below(5) as i64 - 2, m.random.below(5) as i64 - 2);
+        let d = [0, 1, 2].map(|i| d[i] + k * e[i] + l * f[i]);
+        let back = m.random.pick(&[0i64, 1, 3, 50]);
+        let corner = m.random.pick(&[[0i64, 0, 0], e, f]);
+        let o = [0, 1, 2].map(|i| a[i] + corner[i] - back * d[i]);
+        // Toward a corner as it is, or from a point beside it.
+        let mut o = whole(o);
+        if m.random.chance(0.5) {
+            let axis = m.random.below(3);
+            o[axis] += scale * m.random.pick(&[1.0, -1.0, 0.25, -0.25]);
+        }
+        OracleRay { tmin: m.random.pick(&[0.0, f32::NEG_INFINITY]), ..ray(o, whole(d)) }
+    })
+}
+
 fn nearly_coplanar(m: &mut Maker<'_>) -> Case {
+    if m.model.is_none() && m.random.chance(0.5) {
+        return one_unit_off(m);
+    }
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
         let [a, b, c] = mesh.corners(m.random.below(mesh.faces.len())).map(|p| p.map(f64::from));

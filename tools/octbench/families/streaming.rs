@@ -71,7 +71,7 @@ fn pages(m: &mut Maker<'_>) -> Case {
         let o = m.origin(mesh);
         ray(o, toward(o, m.target(mesh)))
     });
-    case.layout = Layout { brick: Some(m.random.pick(&[16, 100])) };
+    case.layout = Layout { brick: Some(m.random.pick(&[16, 100])), ..Layout::default() };
     case
 }
 
@@ -85,6 +85,6 @@ fn stored_twice(m: &mut Maker<'_>) -> Case {
         ray(o, toward(o, m.target(mesh)))
     });
     case.probes.iter_mut().for_each(|p| p.ask = super::Ask::All);
-    case.layout = Layout { brick: Some(32) };
+    case.layout = Layout { brick: Some(32), ..Layout::default() };
     case
 }

@@ -5,11 +5,13 @@
 
 use std::cmp::Ordering;
 
+use smallvec::{SmallVec, smallvec};
+
 use super::number::Number;
 
-/// Components of increasing magnitude, without zeros; their sum is the value.
+/// Components of increasing magnitude, without zeros; their sum is the value. Few of them need no allocation.
 #[derive(Clone, Debug, Default)]
-pub struct Expansion(Vec<f64>);
+pub struct Expansion(SmallVec<[f64; 20]>);
 
 /// Knuth's sum: rounded result and the exact error.
 fn two_sum(a: f64, b: f64) -> (f64, f64) {
@@ -56,7 +58,7 @@ impl Expansion {
 
 impl Number for Expansion {
     fn of(x: f64) -> Self {
-        Expansion(if x == 0.0 { vec![] } else { vec![x] })
+        Expansion(if x == 0.0 { smallvec![] } else { smallvec![x] })
     }
 
     fn add(&self, other: &Self) -> Self {

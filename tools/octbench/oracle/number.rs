@@ -41,8 +41,8 @@ fn dot<N: Number>(p: &Vector<N>, q: &Vector<N>) -> N {
 
 /// A crossing of line and triangle: t = num / den, barycentric weights of a, b, c in proportion to `weights`.
 pub struct Crossing<N> {
-    num: N,
-    den: N,
+    pub(super) num: N,
+    pub(super) den: N,
     weights: Vector<N>,
 }
 
@@ -58,6 +58,11 @@ impl<N: Number> Figure<N> {
     pub fn new(ray: &OracleRay, corners: &Corners) -> Figure<N> {
         let o = exactly(&ray.o);
         Figure { d: exactly(&ray.d), p: corners.map(|c| minus(&exactly(&c), &o)) }
+    }
+
+    /// The figure of a direction and of corners seen from the origin; a positive factor of either changes no sign.
+    pub fn seen(d: Vector<N>, p: [Vector<N>; 3]) -> Figure<N> {
+        Figure { d, p }
     }
 
     fn normal(&self) -> Vector<N> {
@@ -199,7 +204,7 @@ impl<N: Number> Crossing<N> {
         let sum = self.weights[0].add(&self.weights[1]).add(&self.weights[2]);
         let middle = |n: &N| {
             let (low, high) = n.bounds();
-            let narrow = high - low <= 1e-10 * (low.abs() + high.abs()) || low == high;
+            let narrow = low == high || high - low <= 1e-10 * (low.abs() + high.abs()).min(f64::MAX);
             narrow.then_some(0.5 * (low + high))
         };
         let sum = middle(&sum)?;
