@@ -53,9 +53,22 @@ fn no_way_of_building_or_drawing_changes_a_byte() {
         "--split strict",
         "--split strict --cell 2 --leaf 2",
         "--split strict --cell 64 --brick 500",
+        "--split strict --cell 8 --depth 6",
+        "--split octree --cell 64 --depth 12",
+        "--split octree --cell 1000000 --depth 0",
+        "--split octree --cell 8 --brick 64",
+        "--split sah --brick 7 --leaf 3",
         "--split sah --no-ids --threads 1",
     ] {
         run("octbuild", folder, &format!("bunny.obj -o bunny.oct {options}"));
         assert!(first == draw("fast.txt"), "{options}");
     }
+    // The faces in another order: by the last digits of their line numbers.
+    let text = fs::read_to_string(folder.join("bunny.obj")).unwrap();
+    let (faces, rest): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.starts_with("f "));
+    let shuffled = (0..997).rev().flat_map(|k| faces.iter().skip(k).step_by(997));
+    let lines: Vec<&str> = rest.into_iter().chain(shuffled.copied()).collect();
+    fs::write(folder.join("bunny.obj"), lines.join("\n") + "\n").unwrap();
+    run("octbuild", folder, "bunny.obj -o bunny.oct");
+    assert!(first == draw("fast.txt"), "face order");
 }

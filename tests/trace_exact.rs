@@ -9,7 +9,7 @@ mod random;
 use std::cmp::Ordering;
 
 use dashu_int::IBig;
-use octrace::exact::{Lanes, Line, Shear};
+use octrace::exact::{Depths, Lanes, Line, Shear};
 use octrace::geometry::{Aabb, Ray, Triangle};
 use random::Random;
 
@@ -194,7 +194,7 @@ fn order_along_the_ray_is_exact() {
 #[test]
 fn the_filter_is_never_wrong() {
     let mut random = Random(3);
-    let (mut accepted, mut rejected, mut doubted) = (0u32, 0u32, 0u32);
+    let (mut accepted, mut rejected, mut doubted, mut narrow) = (0u32, 0u32, 0u32, 0u32);
     for _ in 0..70_000 {
         let size = 2f32.powi(-(random.below(15) as i32));
         let away = 2f32.powi(-(random.below(7) as i32));
@@ -225,11 +225,18 @@ fn the_filter_is_never_wrong() {
         let ray = Ray::new(origin, direction);
         let shear = Shear::new(&ray, Aabb::around(vertices.map(Into::into)));
         let axes = shear.axes.map(|axis| vertices.map(|p| p[axis]));
-        let Lanes { accept, doubt } = shear.classify([&axes[0], &axes[1], &axes[2]], &corners, 16);
+        let (range, mut depths) = ([f32::NEG_INFINITY, f32::INFINITY], Depths::BLANK);
+        let Lanes { accept, doubt } = shear.classify([&axes[0], &axes[1], &axes[2]], &corners, 16, range, &mut depths);
         let line = Line::new(&ray);
         for j in 0..16 {
             let p = corners.map(|c| vertices[usize::from(c[j])]);
-            let hit = line.meet(&triangle(p, [0, 1, 2])).crossing.is_some();
+            let crossing = line.meet(&triangle(p, [0, 1, 2])).crossing;
+            let hit = crossing.is_some();
+            if let (Some(crossing), true) = (crossing, accept >> j & 1 != 0) {
+                let (lo, hi) = (f64::from(depths.lo[j]), f64::from(depths.hi[j]));
+                assert!(lo <= crossing.depth[1] && crossing.depth[0] <= hi, "{ray:?} {p:?}");
+                narrow += u32::from(hi - lo < 1e-3 * (lo.abs() + hi.abs()));
+            }
             if doubt >> j & 1 != 0 {
                 doubted += 1;
             } else {
@@ -239,4 +246,5 @@ fn the_filter_is_never_wrong() {
         }
     }
     assert!(accepted > 20_000 && rejected > 100_000 && doubted > 10_000, "{accepted} {rejected} {doubted}");
+    assert!(narrow > accepted / 2, "{narrow} of {accepted}");
 }

@@ -79,6 +79,17 @@ fn soup() {
     compare("soup", &Mesh::soup(700, 4), 3000, 4);
 }
 
+/// Triangles are cut there and stored several times.
+#[test]
+fn room() {
+    let mesh = Mesh::room();
+    let header = *mesh.octree(&BuildOptions::default()).header();
+    assert!(header.references > header.triangles + header.triangles / 50, "{} references", header.references);
+    assert_eq!(header.triangles, mesh.faces.len() as u64);
+    compare("room", &mesh, 3000, 6);
+    compare("small room, far away", &mesh.placed(0.01, 1e3), 1000, 7);
+}
+
 #[test]
 fn scales_and_offsets() {
     for (k, &(scale, offset)) in
@@ -126,9 +137,9 @@ fn interval_is_closed_on_the_rounded_t() {
 
 #[test]
 fn all_hits_come_once_and_in_order() {
-    for mesh in [Mesh::soup(300, 8), Mesh::sphere(3, 0.1)] {
+    for (mesh, brick) in [(Mesh::soup(300, 8), 50), (Mesh::sphere(3, 0.1), 50), (Mesh::room(), 10_000)] {
         for split in SPLITS {
-            let octree = mesh.octree(&BuildOptions { split, brick: Some(50), cell: 4, ..BuildOptions::default() });
+            let octree = mesh.octree(&BuildOptions { split, brick: Some(brick), cell: 4, ..BuildOptions::default() });
             let (tracer, linear) = (OctreeTracer::new(&octree), LinearTracer::new(&octree).unwrap());
             let mut random = Random(9);
             for _ in 0..200 {
@@ -151,7 +162,7 @@ fn all_hits_come_once_and_in_order() {
 
 #[test]
 fn closed_surfaces_are_crossed_an_even_number_of_times() {
-    for mesh in [Mesh::sphere(3, 0.0), Mesh::sphere(2, 0.3), Mesh::cube(4)] {
+    for mesh in [Mesh::sphere(3, 0.0), Mesh::sphere(2, 0.3), Mesh::cube(4), Mesh::room().placed(0.5, 0.0)] {
         let octree = mesh.octree(&BuildOptions::default());
         let tracer = OctreeTracer::new(&octree);
         let mut random = Random(11);
@@ -174,10 +185,12 @@ fn closed_surfaces_are_crossed_an_even_number_of_times() {
 
 #[test]
 fn box_queries_find_what_touches() {
-    let mesh = Mesh::soup(500, 12);
     let mut random = Random(13);
-    for split in SPLITS {
-        let octree = mesh.octree(&BuildOptions { split, brick: Some(64), cell: 4, ..BuildOptions::default() });
+    let soup = Mesh::soup(500, 12);
+    for (mesh, split, brick) in
+        SPLITS.map(|split| (&soup, split, 64)).into_iter().chain([(&Mesh::room(), SplitMode::Sah, 10_000)])
+    {
+        let octree = mesh.octree(&BuildOptions { split, brick: Some(brick), cell: 4, ..BuildOptions::default() });
         let mut all = Vec::new();
         triangles_in_box(&octree, None, &mut |s| {
             all.push(s);

@@ -83,6 +83,8 @@ impl BrickBuilder<'_> {
             cell: self.options.cell as usize,
             depth: self.options.depth.into(),
             unit: self.unit,
+            // Without ids a triangle stored twice would be two triangles.
+            repeats: self.options.ids,
         }
     }
 

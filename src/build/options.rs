@@ -19,7 +19,7 @@ pub struct BuildOptions {
     pub cell: u32,
     /// Deepest octree level, 0 to 21; the root is level 0.
     pub depth: u8,
-    /// Whether face ids are stored.
+    /// Whether face ids are stored. Without them no triangle can be stored twice, so large ones are not cut by spatial splits.
     pub ids: bool,
     /// The origin that the source subtracts from its coordinates, recorded in the header.
     pub origin: [f64; 3],

@@ -19,7 +19,18 @@
 //! those of E. With q = min(-min(U, V, W), max(U, V, W)): q > b means that two edge functions have certainly different
 //! signs, a miss; q < -b that all three have certainly one sign, a hit; else the lane is in doubt. NaN compares false: doubt.
 //!
-//! **Range.** The filter is trusted only for 2^-30 <= M <= 2^60. Then products stay below 4 M^2 <= 2^122, and what may
+//! **Depth.** A lane that is certainly hit meets the ray at t = sum(u_i z_i) / (dz sum(u_i)), u_i being the exact edge functions and z_i the
+//! corners' exact depths. With U_i as computed, all of one sign and each off by at most b, with the z_i as computed, Z the largest |z_i|, R
+//! their range and D the computed sum of U_i, the quotient of the computed sums is off by
+//! - b (sum of |z_i - z|) / |D| <= 2 b R / |D|: the U_i, z being a weighted mean of the z_i and so within their range;
+//! - eps Z: the translation of each z_i;
+//! - 7.1 eps Z: D, 1 / D, the weights U_i / D, their products with z_i, and the sum (no cancellation in the U_i);
+//! - 2 eps Z: 1 / dz and the product with it; eps Z: adding and taking off the bound itself;
+//! - underflow of the weights U_i / D and of their products with z_i, and of b / |D|: far below 2^-100 (Z + R + 1).
+//!
+//! So h = |1 / dz| (2.2 b R / |D| + 12 eps Z + 2^-44) + 2^-126 bounds |t - computed t|, its own roundings and those of R and D included.
+//!
+//! **Range.** The filter is trusted only for 2^-30 <= M <= 2^60 and 2^-100 <= |dz| <= 2^100. Then products stay below 4 M^2 <= 2^122, and what may
 //! underflow (at most 2^-150 each in sx, times M, and in the products) is far below eps M >= 2^-54 and E^2 >= 2^-103. Outside this
 //! range every lane is in doubt, which costs time and nothing else.
 
@@ -33,6 +44,9 @@ const EPS: f32 = 1.0 / 16_777_216.0;
 /// The range of M in which the filter is trusted.
 const TRUSTED: std::ops::RangeInclusive<f32> = 1.0 / (1u32 << 30) as f32..=(1u64 << 60) as f32;
 
+/// The range of |dz| in which it is.
+const STEEP: std::ops::RangeInclusive<f32> = 1.0 / (1u128 << 100) as f32..=(1u128 << 100) as f32;
+
 /// A ray prepared for the filter.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Shear {
@@ -45,12 +59,33 @@ pub struct Shear {
     linear: f32,
     /// 2.01 E^2; infinite where the filter is not to be trusted.
     constant: f32,
+    /// 1 / dz.
+    inverse: f32,
+    /// Factors of b R / |D|, of Z and of 1 in the bound of t.
+    depth: [f32; 3],
+}
+
+/// Where the line meets the triangles of a leaf: bounds of the exact t of each lane that is certainly hit.
+///
+/// Other lanes hold anything. A bound may be NaN where f32 says nothing.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub struct Depths {
+    /// Lower bounds.
+    pub lo: [f32; LANES],
+    /// Upper bounds.
+    pub hi: [f32; LANES],
+}
+
+impl Depths {
+    /// Zeros.
+    pub const BLANK: Depths = Depths { lo: [0.0; LANES], hi: [0.0; LANES] };
 }
 
 /// What the filter says of each lane, a bit each. A lane in neither is a certain miss.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Lanes {
-    /// Certainly hit by the line (any t).
+    /// Certainly hit by the line, at a t that may lie within the range asked for.
     pub accept: u32,
     /// Not decided.
     pub doubt: u32,
@@ -73,9 +108,21 @@ impl Shear {
         let [x, y, z] = [reach(min.x, max.x, o[0]), reach(min.y, max.y, o[1]), reach(min.z, max.z, o[2])];
         let m = greater(greater(x, y), z) * (1.0 + 4.0 * EPS);
         let e = 6.01 * EPS * m;
-        let constant = if TRUSTED.contains(&m) { 2.01 * e * e } else { f32::INFINITY };
         let [x, y, z] = axes;
-        Shear { axes, origin: [o[x], o[y], o[z]], sx: d[x] / d[z], sy: d[y] / d[z], linear: 5.4 * e, constant }
+        let trusted = TRUSTED.contains(&m) & STEEP.contains(&d[z].abs());
+        let constant = if trusted { 2.01 * e * e } else { f32::INFINITY };
+        let inverse = 1.0 / d[z];
+        let (scale, underflow) = (inverse.abs(), 1.0 / (1u64 << 44) as f32);
+        Shear {
+            axes,
+            origin: [o[x], o[y], o[z]],
+            sx: d[x] / d[z],
+            sy: d[y] / d[z],
+            linear: 5.4 * e,
+            constant,
+            inverse,
+            depth: [2.2 * scale, 12.0 * EPS * scale, scale * underflow + f32::MIN_POSITIVE],
+        }
     }
 
     /// The origin on `axes`.
@@ -96,28 +143,44 @@ impl Shear {
         [self.linear, self.constant]
     }
 
+    /// 1 / dz, which turns a depth into a t.
+    #[inline(always)]
+    pub fn inverse(&self) -> f32 {
+        self.inverse
+    }
+
+    /// The bound of t: these times b R / |D|, times Z, and times 1, in sum.
+    #[inline(always)]
+    pub fn depth_bound(&self) -> [f32; 3] {
+        self.depth
+    }
+
     /// Classifies the first `count` triangles (at most 16) over a table of N vertices (16 or 32).
     ///
     /// `x`, `y`, `z` are the vertices' coordinates on `axes[0]`, `axes[1]`, `axes[2]`; entries that no triangle names may hold
-    /// anything. `corners[k][j]` is the vertex number of corner k of triangle j, taken modulo N.
+    /// anything. `corners[k][j]` is the vertex number of corner k of triangle j, taken modulo N. Lanes whose t is certainly below
+    /// `range[0]` or above `range[1]` are not accepted; the t of those that are is bounded in `depths`.
     #[inline(always)]
     pub fn classify<const N: usize>(
         &self,
         [x, y, z]: [&[f32; N]; 3],
         corners: &[[u8; LANES]; 3],
         count: usize,
+        range: [f32; 2],
+        depths: &mut Depths,
     ) -> Lanes {
-        let mut sheared = [[0.0f32; 2]; N];
+        let mut sheared = [[0.0f32; 3]; N];
         for i in 0..N {
             let depth = z[i] - self.origin[2];
             sheared[i][0] = (x[i] - self.origin[0]) - self.sx * depth;
             sheared[i][1] = (y[i] - self.origin[1]) - self.sy * depth;
+            sheared[i][2] = depth;
         }
         let mut lanes = Lanes::default();
         for j in 0..count.min(LANES) {
-            let [ax, ay] = sheared[usize::from(corners[0][j]) % N];
-            let [bx, by] = sheared[usize::from(corners[1][j]) % N];
-            let [cx, cy] = sheared[usize::from(corners[2][j]) % N];
+            let [ax, ay, az] = sheared[usize::from(corners[0][j]) % N];
+            let [bx, by, bz] = sheared[usize::from(corners[1][j]) % N];
+            let [cx, cy, cz] = sheared[usize::from(corners[2][j]) % N];
             let u = bx * cy - by * cx;
             let v = cx * ay - cy * ax;
             let w = ax * by - ay * bx;
@@ -126,8 +189,20 @@ impl Shear {
             let bound = self.linear * m + self.constant;
             let q = lesser(-lesser(lesser(u, v), w), greater(greater(u, v), w));
             let (miss, hit) = (q > bound, q < -bound);
-            lanes.accept |= u32::from(hit) << j;
             lanes.doubt |= u32::from(!(miss | hit)) << j;
+            if hit {
+                let sum = (u + v) + w;
+                let share = 1.0 / sum;
+                let t = ((u * share * az + v * share * bz) + w * share * cz) * self.inverse;
+                let (most, least) = (greater(greater(az, bz), cz), lesser(lesser(az, bz), cz));
+                let [of_shape, of_depth, constant] = self.depth;
+                let shape = bound * share.abs() * (most - least) * of_shape;
+                let h = (shape + greater(most.abs(), least.abs()) * of_depth) + constant;
+                (depths.lo[j], depths.hi[j]) = (t - h, t + h);
+                // NaN compares false: kept.
+                let beyond = (depths.lo[j] > range[1]) | (depths.hi[j] < range[0]);
+                lanes.accept |= u32::from(!beyond) << j;
+            }
         }
         lanes
     }

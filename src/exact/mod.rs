@@ -24,7 +24,8 @@ mod whole;
 
 pub use crossing::{Crossing, Decision, Line};
 pub use expansion::Expansion;
-pub use filter::{LANES, Lanes, Shear};
+pub use filter::{Depths, LANES, Lanes, Shear};
 pub use overlap::touches_box;
 pub use plane::{exactly_degenerate, orient2d};
+pub(crate) use predicates::U;
 pub use predicates::side;

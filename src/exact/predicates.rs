@@ -6,7 +6,7 @@ use super::expansion::{Expansion, cross, dot, subtract};
 use crate::geometry::Triangle;
 
 /// f64's unit roundoff.
-pub(super) const U: f64 = 1.0 / 9_007_199_254_740_992.0;
+pub(crate) const U: f64 = 1.0 / 9_007_199_254_740_992.0;
 
 /// The side of the triangle's plane on which `point` lies: `Greater` where (b - a) x (c - a) points, `Equal` on the plane
 /// (always, for a triangle without area). Exact for finite coordinates.

@@ -75,9 +75,15 @@ pub struct Leaf<'a> {
     vertices: u8,
 }
 
+/// Zero bytes that lie as a leaf does.
+#[repr(align(16))]
+struct Zeros([u8; 64]);
+
+const ZEROS: &Zeros = &Zeros([0; 64]);
+
 impl<'a> Leaf<'a> {
     /// A leaf without triangles; stands for bytes that are none.
-    pub const EMPTY: Leaf<'static> = Leaf { bytes: &[0; 64], coding: Coding::Nibbles, len: 0, vertices: 0 };
+    pub const EMPTY: Leaf<'static> = Leaf { bytes: &ZEROS.0, coding: Coding::Nibbles, len: 0, vertices: 0 };
 
     /// The leaf at the start of `bytes` (which may go on beyond it), every rule of FORMAT.md's "Leaf" checked.
     ///

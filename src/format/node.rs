@@ -30,7 +30,7 @@ pub enum Slot {
     Empty,
     /// Inner child of that rank.
     Inner(u8),
-    /// Brick of that rank (top nodes only).
+    /// Brick that many (0..=63) after the first (top nodes only).
     Brick(u8),
     /// Leaf that many leaf units after the first.
     Leaf(u8),
@@ -43,7 +43,7 @@ impl Slot {
             0x7f => Some(Slot::Empty),
             0x00..=0x7e => Some(Slot::Leaf(byte)),
             0x80..=0x87 => Some(Slot::Inner(byte & 7)),
-            0xc0..=0xc7 => Some(Slot::Brick(byte & 7)),
+            0xc0..=0xff => Some(Slot::Brick(byte & 0x3f)),
             _ => None,
         }
     }

@@ -253,20 +253,20 @@ fn validate_top_nodes(header: &Header, nodes: &[Node], bricks: usize) -> Result<
         }
         check_boxes(node).map_err(what)?;
         check_family(&mut depth, i, node).map_err(what)?;
-        let mut rank = 0;
+        let mut lowest = None;
         for &byte in &node.slots {
             match Slot::decode(byte) {
-                Some(Slot::Brick(number)) if number == rank => {
+                Some(Slot::Brick(rank)) => {
                     let brick = node.first_leaf as usize + usize::from(rank);
                     let free = reached.get_mut(brick).filter(|r| !**r).ok_or(NodeFault::Brick).map_err(what)?;
                     *free = true;
-                    rank += 1;
+                    lowest = Some(lowest.map_or(rank, |lowest: u8| lowest.min(rank)));
                 }
                 Some(Slot::Empty | Slot::Inner(_)) => {}
                 _ => return Err(what(NodeFault::Slot)),
             }
         }
-        if rank == 0 && node.first_leaf != 0 {
+        if lowest.map_or(node.first_leaf != 0, |lowest| lowest != 0) {
             return Err(what(NodeFault::Brick));
         }
     }

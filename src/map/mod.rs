@@ -135,7 +135,7 @@ impl Octree {
     /// A page; checked (checksum and structure) at its first use.
     ///
     /// Several threads may check the same page at once, to the same end. A page that fails does so at every use.
-    #[inline]
+    #[inline(always)]
     pub fn page(&self, id: PageId) -> Result<Page<'_>> {
         let i = id.0 as usize;
         if self.sound.get(i).is_some_and(|sound| sound.load(Ordering::Acquire)) {

@@ -42,8 +42,16 @@ impl Tracer for Brute {
         Ok(self.nearest(ray, skip).is_some())
     }
 
-    fn next(&self, _: &Ray, _: Skip, _: &Found) -> Result<Option<Found>> {
-        unreachable!("shading asks for one hit only")
+    fn next(&self, ray: &Ray, skip: Skip, last: &Found) -> Result<Option<Found>> {
+        let line = Line::new(ray);
+        let found = |i: usize| Brute(vec![self.0[i]]).nearest(ray, Skip::NONE).map(|f| (f, FaceId(i as u32)));
+        let mut all: Vec<(Found, FaceId)> = (0..self.0.len()).filter_map(found).filter(|x| !skip.has(x.1)).collect();
+        let key = |f: &Found| line.accepted(&f.triangle).crossing.expect("a hit is a crossing");
+        all.sort_by(|a, b| key(&a.0).cmp(&key(&b.0), &line).then(a.1.cmp(&b.1)));
+        let at = all.iter().position(|x| x.1 == last.hit.face).map_or(0, |k| k + 1);
+        let named =
+            |&(found, face): &(Found, FaceId)| Found { hit: Hit { face, ..found.hit }, reference: face.0, ..found };
+        Ok(all.get(at).map(named))
     }
 
     fn bounds(&self) -> Aabb {

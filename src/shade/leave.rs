@@ -5,9 +5,13 @@
 //! is left. It is traced backward because the origin is an exact f32 point and the other end then errs by 2^-24 of the
 //! segment only, which itself is a few ulps long.
 //!
-//! A surface met at the very end of the segment passes through the point (an edge, the other half of a rectangle, a twin
-//! face). It separates the origin from the ray's path if the origin and the path lie on different sides of it; the path
-//! is known, it is where the ray came from (or where it goes on to, through glass). In a crease that is sharper than the
+//! The segment does not end in the point itself but a little way up the path, which is free: it is where the ray came from (or,
+//! for a very little way, where it goes on to, through glass). A point on an edge is on neither side of the neighbour there, and
+//! a segment to it from behind the neighbour would pass it by as often as not.
+//!
+//! A surface met toward the end of the segment may pass through the point (an edge, the other half of a rectangle, a twin
+//! face), as far as f64 can tell. It separates the origin from the ray's path if the origin and the path lie on different sides
+//! of it. In a crease that is sharper than the
 //! origin's distance the way along the normal is blocked; then the origin is looked for along the path instead. Where
 //! that is blocked too (sheets one ulp apart), the blocker is what the secondary ray meets first.
 
@@ -20,14 +24,25 @@ use super::spot::{Anchor, Spot};
 use super::world::World;
 use crate::error::Result;
 
-/// How far the end of the segment may err, in parts of its length: a surface met there passes through the point.
-const END: f64 = 1.0 / 4096.0;
+/// How far up the path the segment ends, in parts of the origin's distance from the point: where the path is known to be free,
+/// and where it is not.
+const UP_THE_PATH: [f64; 2] = [1.0 / 1024.0, 1.0 / (1 << 18) as f64];
+/// The last part of the segment, in parts of its length, in which a surface may pass through the point.
+const END: f64 = 1.0 / 256.0;
 /// Segments shorter than this (2^-60) have their direction scaled up, so that f32 holds it with all its digits.
 const SHORT: f64 = 1.0 / (1u64 << 60) as f64;
 /// Most surfaces looked at on one segment.
 const MOST_SHEETS: usize = 64;
 /// Distances tried along the path, in error bounds.
 const ALONG_PATH: [f64; 4] = [1.0, 4.0, 16.0, 64.0];
+
+/// The free space at a spot: a direction of unit length that points from the spot into it, and how far it is known to be free,
+/// if it is.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Path {
+    pub direction: DVec3,
+    pub reach: Option<f64>,
+}
 
 /// How a surface is left.
 pub(super) enum Departure {
@@ -40,17 +55,17 @@ pub(super) enum Departure {
 }
 
 impl World {
-    /// An origin on the side of `spot` that is seen (`near`) or on the other; `path` (of unit length) points from the spot
-    /// into the free space of that side, along the ray that met it.
+    /// An origin on the side of `spot` that is seen (`near`) or on the other; `path` leads from the spot into the free space of
+    /// that side, along the ray that met it.
     ///
     /// The shift leans from the normal toward the path: along the normal alone an origin beside an edge would stay in the
     /// plane of a neighbour at a right angle.
-    pub(super) fn leave(&self, spot: &Spot, near: bool, path: DVec3) -> Result<Departure> {
+    pub(super) fn leave(&self, spot: &Spot, near: bool, path: Path) -> Result<Departure> {
         let side = if near { *spot } else { spot.turned() };
-        let Some(origin) = self.beside(&side, side.normal + path, 1.0) else { return Ok(Departure::Nowhere) };
+        let Some(origin) = self.beside(&side, side.normal + path.direction, 1.0) else { return Ok(Departure::Nowhere) };
         let Some((contact, segment)) = self.between(&side, &origin, path)? else { return Ok(Departure::Free(origin)) };
         for times in ALONG_PATH {
-            if let Some(origin) = self.beside(&side, path, times)
+            if let Some(origin) = self.beside(&side, path.direction, times)
                 && self.between(&side, &origin, path)?.is_none()
             {
                 return Ok(Departure::Free(origin));
@@ -92,8 +107,14 @@ impl World {
     }
 
     /// The surface nearest to the spot that lies between it and `origin`, and the segment that found it.
-    fn between(&self, spot: &Spot, origin: &Origin, path: DVec3) -> Result<Option<(Contact, WorldRay)>> {
-        let back = spot.point - origin.world;
+    fn between(&self, spot: &Spot, origin: &Origin, path: Path) -> Result<Option<(Contact, WorldRay)>> {
+        let distance = (spot.point - origin.world).length();
+        let up = match path.reach {
+            Some(reach) => (distance * UP_THE_PATH[0]).min(reach / 2.0),
+            None => distance * UP_THE_PATH[1],
+        };
+        let target = spot.point + path.direction * up;
+        let back = target - origin.world;
         let scale = if back.abs().max_element() < SHORT { (1u64 << 60) as f64 } else { 1.0 };
         let end = 1.0 / scale;
         let mut segment = WorldRay::from(origin, back * scale, ((1.0 + END) * end) as f32);
@@ -104,7 +125,7 @@ impl World {
         for _ in 0..MOST_SHEETS {
             let Some(contact) = self.closest(&segment, spot.omit)? else { break };
             let at_end = f64::from(contact.t) >= (1.0 - END) * end;
-            if !at_end || self.separates(&contact, &whole, -back, path)? {
+            if !at_end || self.separates(&contact, &whole, spot.point, path.direction)? {
                 blocker = Some((contact, whole));
             }
             segment.tmin = contact.t.next_up();
@@ -112,8 +133,13 @@ impl World {
         Ok(blocker)
     }
 
-    /// Whether the surface at `contact` parts the directions `a` and `b`.
-    fn separates(&self, contact: &Contact, segment: &WorldRay, a: DVec3, b: DVec3) -> Result<bool> {
+    /// Whether the surface at `contact` lies between the segment's origin and the point; if it passes through the point, whether
+    /// between the origin and what lies along `path` from there.
+    fn separates(&self, contact: &Contact, segment: &WorldRay, point: DVec3, path: DVec3) -> Result<bool> {
+        if let Some(apart) = self.apart(contact, segment, point) {
+            return Ok(apart);
+        }
+        let (a, b) = (segment.origin - point, path);
         let normal = match (&contact.part, &self.objects[contact.object as usize].kind) {
             (Part::Mesh(found), Kind::Mesh(placed)) => placed.normals * normal_of(&found.triangle),
             _ => self.spot(contact, segment)?.normal,

@@ -25,8 +25,11 @@ mod leave;
 mod material;
 mod object;
 mod origin;
+mod path;
 mod quadric;
 mod ray;
+#[cfg(test)]
+mod secondary_tests;
 mod spot;
 #[cfg(test)]
 mod tests;
@@ -37,6 +40,7 @@ mod world;
 
 pub use material::Surface;
 pub use object::Contact;
+pub use path::{Bounce, MirrorPath};
 pub use ray::{Omit, WorldRay};
 pub use texture::Texture;
 pub use whitted::{RayCounts, Scratch};

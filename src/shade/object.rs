@@ -11,7 +11,7 @@ use crate::error::Result;
 use crate::exact::{self, Crossing, Line};
 use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip, Triangle};
 use crate::scene;
-use crate::trace::Found;
+use crate::trace::{Found, all_hits};
 
 /// One thing of the scene.
 #[derive(Debug)]
@@ -174,6 +174,37 @@ impl Object {
         })
     }
 
+    /// All hits in `[tmin, tmax]`; of a ball the nearest only.
+    pub fn all(
+        &self,
+        meshes: &[Mesh],
+        number: u32,
+        ray: &WorldRay,
+        omit: Omit,
+        found: &mut Vec<Contact>,
+    ) -> Result<()> {
+        match &self.kind {
+            Kind::Mesh(placed) => {
+                let skip = if omit.object == number { Skip::one(omit.face) } else { Skip::NONE };
+                let local = ray.seen_by(number, placed.to_local.as_ref(), ray.tmax);
+                for hit in all_hits(meshes[placed.mesh].tracer.as_ref(), &local, skip) {
+                    let hit = hit?;
+                    found.push(Contact { t: hit.hit.t, object: number, part: Part::Mesh(hit) });
+                }
+            }
+            Kind::Facets(facets) => {
+                let local = ray.seen_by(number, None, ray.tmax);
+                for i in (0..facets.count as u32).filter(|&i| omit != Omit { object: number, face: FaceId(i) }) {
+                    let one = Facets { triangles: [facets.triangles[i as usize]; 2], count: 1 };
+                    let hit = one.closest(local, FaceId::NONE);
+                    found.extend(hit.map(|(_, hit)| Contact { t: hit.t, object: number, part: Part::Facet(i, hit) }));
+                }
+            }
+            Kind::Ball(_) | Kind::Flat(_) => found.extend(self.closest(meshes, number, ray, ray.tmax, omit)?),
+        }
+        Ok(())
+    }
+
     /// Whether anything lies in `[tmin, tmax]`.
     pub fn any(&self, meshes: &[Mesh], number: u32, ray: &WorldRay, omit: Omit) -> Result<bool> {
         match &self.kind {
@@ -217,6 +248,21 @@ impl Facets {
 /// Whether `point` lies strictly on the front of the triangle (counter-clockwise seen from there) or strictly behind it.
 pub(super) fn strictly_on(triangle: &Triangle, point: Vec3, front: bool) -> bool {
     exact::side(triangle, point.to_array()) == if front { Ordering::Greater } else { Ordering::Less }
+}
+
+/// Whether `point` lies on the front of the triangle's plane; `None` where f64 cannot tell.
+pub(super) fn above(triangle: &Triangle, point: DVec3) -> Option<bool> {
+    let [a, b, c] = triangle.vertices().map(|v| v.as_dvec3());
+    let (e, f, w) = (b - a, c - a, point - a);
+    let mut value = 0.0;
+    let mut bound = 0.0;
+    for (i, j, k) in [(0, 1, 2), (1, 2, 0), (2, 0, 1)] {
+        let (plus, minus) = (e[j] * f[k], e[k] * f[j]);
+        value += (plus - minus) * w[i];
+        // The point's own error, of the order of an f64 step of the coordinates, counts here too.
+        bound += (plus.abs() + minus.abs()) * (w[i].abs() + point[i].abs() + a[i].abs());
+    }
+    (value.abs() > 32.0 * f64::EPSILON * bound).then_some(value > 0.0)
 }
 
 /// The box around a transformed box.

@@ -57,6 +57,11 @@ impl WorldRay {
         WorldRay { tmin, tmax, ..self }
     }
 
+    /// The origin. An exact f32 point if the ray starts at an eye or beside a surface that is not transformed.
+    pub fn origin(&self) -> DVec3 {
+        self.origin
+    }
+
     /// The direction, components exact in f32.
     pub fn direction(&self) -> DVec3 {
         self.direction

@@ -14,7 +14,7 @@ use super::world::{Mesh, World};
 use crate::geometry::Triangle;
 use crate::scene::{Color, Geometry, Instance, Light, Material, MeshFile, Scene, Shape};
 
-const MIRROR: Material = Material {
+pub(super) const MIRROR: Material = Material {
     ambient: Color::ONE,
     diffuse: Color::ONE,
     specular: Color::ZERO,
@@ -26,7 +26,7 @@ const MIRROR: Material = Material {
 };
 
 /// A world of one mesh and shapes, all of one material; a ray that leaves it is seen as white.
-fn world(mesh: Vec<Triangle>, to_world: DAffine3, shapes: Vec<Geometry>, material: Material) -> World {
+pub(super) fn world(mesh: Vec<Triangle>, to_world: DAffine3, shapes: Vec<Geometry>, material: Material) -> World {
     let scene = Scene {
         background: Color::ONE,
         materials: vec![material],

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use glam::DVec3;
 
 use super::material::Surface;
-use super::object::{Contact, Kind, Object};
+use super::object::{Contact, Kind, Object, Part, above};
 use super::quadric::Flat;
 use super::ray::{Omit, WorldRay};
 use super::texture::Texture;
@@ -154,6 +154,43 @@ impl World {
             tree.visit(ray.origin, ray.direction, ray.tmin, far, ask)?;
         }
         Ok(best)
+    }
+
+    /// All that the ray meets, in no order.
+    pub(super) fn all(&self, ray: &WorldRay, omit: Omit) -> Result<Vec<Contact>> {
+        let mut found = Vec::new();
+        for (number, object) in (0..).zip(&self.objects) {
+            object.all(&self.meshes, number, ray, omit, &mut found)?;
+        }
+        Ok(found)
+    }
+
+    /// Whether the surface that `ray` meets at `contact` has the ray's origin and `point` strictly on different sides. `None` where
+    /// f64 cannot tell on which side the point is: it lies on the surface.
+    pub(super) fn apart(&self, contact: &Contact, ray: &WorldRay, point: DVec3) -> Option<bool> {
+        let object = &self.objects[contact.object as usize];
+        let start = ray.start.object == contact.object;
+        match (&object.kind, &contact.part) {
+            (Kind::Mesh(placed), Part::Mesh(found)) => {
+                let local = |p: DVec3| placed.to_local.map_or(p, |m| m.transform_point3(p));
+                let origin = if start { ray.start.point.as_dvec3() } else { local(ray.origin) };
+                Some(above(&found.triangle, local(point))? != above(&found.triangle, origin)?)
+            }
+            (Kind::Facets(facets), Part::Facet(i, _)) => {
+                let triangle = &facets.all()[*i as usize];
+                Some(above(triangle, point)? != above(triangle, ray.origin)?)
+            }
+            (Kind::Flat(flat), _) => {
+                let (a, b) = (flat.side(ray.origin), flat.side(point));
+                (a != 0.0 && b != 0.0).then_some((a > 0.0) != (b > 0.0))
+            }
+            (Kind::Ball(ball), Part::Smooth(t)) => {
+                let (a, b) = (ball.side(ray.origin), ball.side(point));
+                // From outside through a ball to the outside: by the root.
+                (b != 0.0).then_some((a > 0.0) != (b > 0.0) || *t < 1.0)
+            }
+            _ => None,
+        }
     }
 
     /// Whether the ray meets anything.

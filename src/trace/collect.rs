@@ -1,11 +1,14 @@
 //! What becomes of the hits that a walk finds: the closest is kept, or the first one ends it, or the next after another is sought.
 
 use std::cmp::Ordering;
+use std::marker::PhantomData;
 
 use super::Found;
-use crate::exact::{Crossing, Line};
-use crate::format::PageId;
-use crate::geometry::{FaceId, Hit, Skip};
+use super::arch::Kernel;
+use crate::exact::{Crossing, Depths, Lanes, Line};
+use crate::format::{Leaf, PageId};
+use crate::geometry::{FaceId, Hit, Ray, Skip};
+use crate::map::Page;
 
 /// Where a triangle is stored; its face id is looked up only when it counts.
 pub(super) trait Place {
@@ -26,22 +29,71 @@ pub(super) enum Next {
 }
 
 /// Takes the hits of a walk, in any order, the same triangle possibly several times.
-pub(super) trait Collector {
+pub(super) trait Collector<'a> {
+    /// Takes the hits of a leaf whose lanes are all certain, from the bounds of their t alone. `None`, and nothing taken,
+    /// where these do not decide: then every lane is to be offered.
+    fn glance(&mut self, ray: &Ray, lanes: Lanes, depths: &Depths, leaf: &Stored<'a>) -> Option<Next>;
+
+    /// Takes a hit that is settled.
     fn offer(&mut self, line: &Line, crossing: Crossing, place: &impl Place) -> Next;
 
     /// An upper bound of the t of any hit that still matters.
-    fn reach(&self) -> f64;
+    fn reach(&self) -> f32;
+}
+
+/// A leaf, and where it is.
+#[derive(Clone, Copy)]
+pub(super) struct Stored<'a> {
+    pub page: Page<'a>,
+    pub id: PageId,
+    pub leaf: Leaf<'a>,
+}
+
+impl Stored<'_> {
+    /// Lanes without those of the triangles to be left out.
+    #[inline(always)]
+    fn without(&self, skip: Skip, lanes: u32) -> u32 {
+        if skip == Skip::NONE {
+            return lanes;
+        }
+        let (mut left, mut kept) = (lanes, lanes);
+        while left != 0 {
+            let lane = left.trailing_zeros();
+            left &= left - 1;
+            if skip.has(self.page.face(self.leaf.first().wrapping_add(lane))) {
+                kept &= !(1 << lane);
+            }
+        }
+        kept
+    }
 }
 
 /// Keeps the closest hit, after another if one is given.
-pub(super) struct Closest {
+pub(super) struct Closest<'a> {
     skip: Skip,
     after: Option<(Crossing, FaceId)>,
-    best: Option<Best>,
+    best: Best<'a>,
+}
+
+/// The closest hit so far.
+#[derive(Clone, Copy)]
+enum Best<'a> {
+    None,
+    Seen(Seen<'a>),
+    Settled(Settled),
+}
+
+/// A hit between two t, certainly within the interval; that is all that needs to be known of it before another comes near.
+#[derive(Clone, Copy)]
+struct Seen<'a> {
+    lo: f32,
+    hi: f32,
+    stored: Stored<'a>,
+    lane: u32,
 }
 
 #[derive(Clone, Copy)]
-struct Best {
+struct Settled {
     crossing: Crossing,
     t: f32,
     face: FaceId,
@@ -49,32 +101,73 @@ struct Best {
     reference: u32,
 }
 
-impl Closest {
+impl<'a> Seen<'a> {
+    /// The triangle's number within the page.
+    #[inline(always)]
+    fn reference(&self) -> u32 {
+        self.stored.leaf.first().wrapping_add(self.lane)
+    }
+
+    /// The answer, where f64 suffices; nothing for a page that turned to zeros.
+    #[inline(always)]
+    fn found<K: Kernel>(&self, kernel: K, ray: &Ray) -> Option<Found> {
+        let (Stored { page, id, leaf }, reference) = (&self.stored, self.reference());
+        let [t, u, v] = kernel.rounded(leaf, self.lane as usize, ray)?;
+        let face = page.face(reference);
+        let (hit, triangle) = (Hit { t, face, u, v }, leaf.triangle(self.lane as usize));
+        (face != FaceId::NONE).then_some(Found { hit, triangle, page: *id, reference })
+    }
+
+    /// The same with all that can be known; `None` for a page that turned to zeros.
+    #[inline(never)]
+    fn settle(&self, line: &Line) -> Option<Settled> {
+        let reference = self.reference();
+        let crossing = line.accepted(&self.stored.leaf.triangle(self.lane as usize)).crossing?;
+        let t = crossing.t_within(line)?;
+        let face = self.stored.page.face(reference);
+        (face != FaceId::NONE).then_some(Settled { crossing, t, face, page: self.stored.id, reference })
+    }
+}
+
+impl<'a> Closest<'a> {
     /// The closest of all hits.
-    pub fn new(skip: Skip) -> Closest {
-        Closest { skip, after: None, best: None }
+    #[inline(always)]
+    pub fn new(skip: Skip) -> Closest<'a> {
+        Closest { skip, after: None, best: Best::None }
     }
 
     /// The closest of those after `last`, a hit of the same line.
-    pub fn after(skip: Skip, line: &Line, last: &Found) -> Closest {
+    pub fn after(skip: Skip, line: &Line, last: &Found) -> Closest<'a> {
         let after = line.accepted(&last.triangle).crossing.map(|crossing| (crossing, last.hit.face));
-        Closest { skip, after, best: None }
+        Closest { skip, after, best: Best::None }
+    }
+
+    #[inline(always)]
+    fn settled(&self, line: &Line) -> Option<Settled> {
+        match &self.best {
+            Best::None => None,
+            Best::Seen(seen) => seen.settle(line),
+            Best::Settled(settled) => Some(*settled),
+        }
     }
 
     /// The answer.
-    #[inline]
-    pub fn found(&self, line: &Line) -> Option<Found> {
-        let Best { crossing, page, reference, .. } = self.best.as_ref()?;
-        Some(Found { hit: self.hit(line), triangle: crossing.triangle, page: *page, reference: *reference })
+    #[inline(always)]
+    pub fn found<K: Kernel>(&self, kernel: K, ray: &Ray) -> Option<Found> {
+        match &self.best {
+            Best::None => None,
+            Best::Seen(seen) => seen.found(kernel, ray).or_else(|| self.found_exactly(ray)),
+            Best::Settled(_) => self.found_exactly(ray),
+        }
     }
 
-    /// The answer without where it is stored.
-    #[inline]
-    pub fn hit(&self, line: &Line) -> Hit {
-        self.best.as_ref().map_or(Hit::MISS, |best| {
-            let [u, v] = best.crossing.uv(line);
-            Hit { t: best.t, face: best.face, u, v }
-        })
+    /// The same where f64 does not suffice, or the hit was settled before.
+    #[cold]
+    pub fn found_exactly(&self, ray: &Ray) -> Option<Found> {
+        let line = Line::new(ray);
+        let Settled { crossing, t, face, page, reference } = self.settled(&line)?;
+        let [u, v] = crossing.uv(&line);
+        Some(Found { hit: Hit { t, face, u, v }, triangle: crossing.triangle, page, reference })
     }
 }
 
@@ -83,10 +176,48 @@ fn order(line: &Line, a: (&Crossing, FaceId), b: (&Crossing, FaceId)) -> Orderin
     a.0.cmp(b.0, line).then(a.1.cmp(&b.1))
 }
 
-impl Collector for Closest {
+impl<'a> Collector<'a> for Closest<'a> {
+    #[inline(always)]
+    fn glance(&mut self, ray: &Ray, lanes: Lanes, depths: &Depths, stored: &Stored<'a>) -> Option<Next> {
+        if lanes.doubt != 0 || self.after.is_some() {
+            return None;
+        }
+        let mut left = stored.without(self.skip, lanes.accept);
+        if left == 0 {
+            return Some(Next::On);
+        }
+        let mut lane = left.trailing_zeros();
+        left &= left - 1;
+        let at = |lane: u32| (depths.lo[lane as usize & 15], depths.hi[lane as usize & 15]);
+        let (mut lo, mut hi) = at(lane);
+        while left != 0 {
+            let other = left.trailing_zeros();
+            left &= left - 1;
+            let (l, h) = at(other);
+            let (nearer, farther) = (h < lo, l > hi);
+            if nearer {
+                (lane, lo, hi) = (other, l, h);
+            } else if !farther {
+                return None;
+            }
+        }
+        // Each comparison is false for NaN.
+        let before = match &self.best {
+            Best::None => f32::INFINITY,
+            Best::Seen(seen) => seen.lo,
+            Best::Settled(best) => (best.crossing.depth[0] as f32).next_down(),
+        };
+        if !(lo > ray.tmin && hi < ray.tmax && hi < before) {
+            return None;
+        }
+        self.best = Best::Seen(Seen { lo, hi, stored: *stored, lane });
+        Some(Next::Nearer)
+    }
+
     #[inline(always)]
     fn offer(&mut self, line: &Line, crossing: Crossing, place: &impl Place) -> Next {
-        if crossing.depth[0] > self.reach() {
+        let best = self.settled(line);
+        if best.as_ref().is_some_and(|best| crossing.depth[0] > best.crossing.depth[1]) {
             return Next::On;
         }
         let Some(t) = crossing.t_within(line) else { return Next::On };
@@ -95,35 +226,57 @@ impl Collector for Closest {
             return Next::On;
         }
         let this = (&crossing, face);
-        if self.best.as_ref().is_some_and(|best| order(line, this, (&best.crossing, best.face)) != Ordering::Less) {
+        if best.as_ref().is_some_and(|best| order(line, this, (&best.crossing, best.face)) != Ordering::Less) {
             return Next::On;
         }
         if self.after.as_ref().is_some_and(|(last, id)| order(line, this, (last, *id)) != Ordering::Greater) {
             return Next::On;
         }
-        self.best = Some(Best { crossing, t, face, page: place.page(), reference: place.reference() });
+        self.best = Best::Settled(Settled { crossing, t, face, page: place.page(), reference: place.reference() });
         Next::Nearer
     }
 
     #[inline(always)]
-    fn reach(&self) -> f64 {
-        self.best.as_ref().map_or(f64::INFINITY, |best| best.crossing.depth[1])
+    fn reach(&self) -> f32 {
+        match &self.best {
+            Best::None => f32::INFINITY,
+            Best::Seen(seen) => seen.hi,
+            Best::Settled(best) => (best.crossing.depth[1] as f32).next_up(),
+        }
     }
 }
 
 /// Ends at the first hit.
-pub(super) struct Any {
+pub(super) struct Any<'a> {
     skip: Skip,
     pub found: bool,
+    file: PhantomData<&'a ()>,
 }
 
-impl Any {
-    pub fn new(skip: Skip) -> Any {
-        Any { skip, found: false }
+impl Any<'_> {
+    #[inline(always)]
+    pub fn new(skip: Skip) -> Self {
+        Any { skip, found: false, file: PhantomData }
     }
 }
 
-impl Collector for Any {
+impl<'a> Collector<'a> for Any<'a> {
+    #[inline(always)]
+    fn glance(&mut self, ray: &Ray, lanes: Lanes, depths: &Depths, stored: &Stored<'a>) -> Option<Next> {
+        let mut left = stored.without(self.skip, lanes.accept);
+        let mut certain = lanes.doubt == 0;
+        while left != 0 {
+            let lane = left.trailing_zeros() as usize & 15;
+            left &= left - 1;
+            if depths.lo[lane] > ray.tmin && depths.hi[lane] < ray.tmax {
+                self.found = true;
+                return Some(Next::Done);
+            }
+            certain = false;
+        }
+        certain.then_some(Next::On)
+    }
+
     #[inline(always)]
     fn offer(&mut self, line: &Line, crossing: Crossing, place: &impl Place) -> Next {
         if crossing.t_within(line).is_none() {
@@ -138,7 +291,7 @@ impl Collector for Any {
     }
 
     #[inline(always)]
-    fn reach(&self) -> f64 {
-        f64::INFINITY
+    fn reach(&self) -> f32 {
+        f32::INFINITY
     }
 }

@@ -32,7 +32,7 @@ impl LinearTracer {
     }
 
     /// Offers the hits of all triangles until the collector has enough.
-    fn test(&self, line: &Line, collector: &mut impl Collector, counters: &mut Counters) {
+    fn test<'a>(&self, line: &Line, collector: &mut impl Collector<'a>, counters: &mut Counters) {
         for stored in &self.triangles {
             counters.triangles += 1;
             let decision = line.meet(&stored.triangle);
@@ -53,7 +53,7 @@ impl Tracer for LinearTracer {
         }
         let (line, mut closest) = (Line::new(ray), Closest::new(skip));
         self.test(&line, &mut closest, counters);
-        Ok(closest.found(&line))
+        Ok(closest.found_exactly(ray))
     }
 
     fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool> {
@@ -72,7 +72,7 @@ impl Tracer for LinearTracer {
         let line = Line::new(ray);
         let mut closest = Closest::after(skip, &line, last);
         self.test(&line, &mut closest, &mut Counters::default());
-        Ok(closest.found(&line))
+        Ok(closest.found_exactly(ray))
     }
 
     fn bounds(&self) -> Aabb {

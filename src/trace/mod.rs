@@ -1,7 +1,7 @@
 //! Rays against an octree file: closest hit, any hit, all hits in order, and the triangles that touch a box.
 //!
 //! [`OctreeTracer`] walks the file's own bytes: the parametric octree traversal of Revelles, Ureña and Lastra (2000) in a form that
-//! never loses a cell (`setup.rs` has the argument, `octree.rs` the walk), over nodes and leaves as FORMAT.md has them. A triangle is
+//! never loses a cell (`setup.rs` has the argument, `walk.rs` the walk of one ray, `flight.rs` that of several), over nodes and leaves as FORMAT.md has them. A triangle is
 //! tested by the f32 filter of [`crate::exact`] first and exactly where that is in doubt. [`LinearTracer`] tests every triangle
 //! exactly and is the reference. `arch/` holds the inner loops.
 //!
@@ -9,12 +9,15 @@
 //! shading, instances, analytic shapes.
 
 mod arch;
+mod ask;
 mod attributes;
 mod boxes;
 mod collect;
+mod flight;
 mod linear;
 mod octree;
 mod setup;
+mod walk;
 
 use rayon::prelude::*;
 

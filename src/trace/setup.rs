@@ -1,23 +1,27 @@
 //! A ray prepared for the walk, and why the walk never loses a cell.
 //!
-//! **Parameters.** In root units the ray is p + tau g with p = (o - corner) / side and g = d 2^s, the power of two chosen such that the
+//! **Far or steep rays.** In root units the ray is p + tau g with p = (o - corner) / side and g = d 2^s, the power of two chosen such that the
 //! largest |g_i| is in [1, 2). Then t = tau 2^s side, an exact scaling. The walk starts from p' = p + tau0 g, tau0 being the parameter
 //! of the interval's point nearest to the origin within the root: so |p'| is about 1 however far the origin, and all parameters of the node
 //! loop, which are relative to tau0, are about 1 too, where f32 is fine.
+//!
+//! **Plain rays**, whose origin is within 16 root sizes and whose components are all of moderate size (most rays by far), need none of
+//! this: p' = p, tau0 = 0, and the parameters are those of the ray itself, t.
 //!
 //! **Errors of f64**, P = max |p_i|: p, tau0 g and p' are each off by a few 2^-53 (P + 2) in position; `pad` = 2^-46 (P + 2) is more than
 //! eight times all of them together. It widens the root's slabs here, every slab below (through `slack`), and the best hit's parameter.
 //!
 //! **Errors of f32** in the node loop, eps = 2^-24, A = |p'_i|, all in units of |inv_i| = 1 / |g_i|. A plane q of a node has the parameter
-//! t0 + q dt. The walk carries t0 less the slack and t0 plus the slack (`begin`, `end`); a child's is fl(t0 + fl(low dt)), or fused with one rounding
+//! t0 + q dt. The walk carries t0 less the slack (`begin`); a child's is fl(t0 + fl(low dt)), or fused with one rounding
 //! less, its dt the parent's times an exact power of two. The corners of frames lie in 0..1, and low * unit summed over a path is
 //! at most 1. So a plane's computed parameter is off by at most
-//! - eps (A + 1): t0 of the root or brick, rounded once from f64; twice that for the slack taken off or added there;
+//! - 4 eps (A + 1): t0 of the root or brick, from the corner's distance in f32, inv, their product, and taking off the slack;
+//! - eps (A + 1): adding the slack, doubled, again where planes are left;
 //! - eps: the rounding of inv itself, on a path's sum of q * dt;
 //! - eps: the products' roundings, which add up to those on one path;
 //! - eps (A + 1) for each of L levels, and once more at the last plane: the sums' roundings.
 //!
-//! Together less than eps (L + 4) (A + 3), L being the file's depth. `slack` = |inv| (pad + eps (L + 4) (A + 3)), rounded up, is subtracted from
+//! Together less than eps (L + 8) (A + 3), L being the file's depth. `slack` = |inv| (pad + eps (L + 8) (A + 3)), rounded up, is subtracted from
 //! every near and added to every far parameter. A slab that the exact ray touches is therefore never lost, and near
 //! parameters are true lower bounds. (Ize 2013 pads relative to t; one number an axis is simpler and about as tight here.)
 //!
@@ -28,10 +32,10 @@
 //!
 //! **Far origins.** From 2^30 root sizes on, f64 places the root too badly along the ray. The start is then brought near the root in exact
 //! steps first ([`approach`]): each leaves 2^-45 of the distance, and the point that it ends at is exact before it is rounded.
-//! Only a ray whose steps do not get there visits all boxes (`inv` = 0, infinite slack in effect), and the exact triangle test decides.
+//! Only a ray whose steps do not get there visits all boxes (`inv` = 2^-60, infinite slack in effect), and the exact triangle test decides.
 
-use super::arch::{Planes, Way};
-use crate::exact::{Expansion, Line, Shear};
+use super::arch::{Aim, Fit, Kernel, Way};
+use crate::exact::Expansion;
 use crate::format::Frame;
 use crate::geometry::{Aabb, Ray, RootCube};
 
@@ -43,33 +47,34 @@ pub(super) struct Scene {
     root: RootCube,
     /// 1 / the root's side, a power of two.
     scale: f64,
-    /// eps (L + 4).
+    /// What aiming plain rays needs.
+    fit: Fit,
+    /// eps (L + 8).
     rounding: f64,
+    /// What turns the direction mask into the order of visits: 0 for near to far, 7 for far to near.
+    pub turn: u8,
 }
 
 impl Scene {
     /// `depth` is the file's.
     pub fn new(root: RootCube, bounds: Aabb, depth: u32) -> Scene {
-        Scene { bounds, root, scale: exp2(-root.log2_side), rounding: (f64::from(depth) + 4.0) / 16_777_216.0 }
+        let side = if root.log2_side.abs() <= 40 { exp2(root.log2_side) as f32 } else { f32::INFINITY };
+        let (scale, rounding) = (exp2(-root.log2_side), (f64::from(depth) + 8.0) / 16_777_216.0);
+        let [x, y, z] = root.corner.to_array();
+        let fit = Fit { corner: [x, y, z, 0.0], scale, side, rounding: rounding as f32 };
+        Scene { bounds, root, scale, fit, rounding, turn: 0 }
     }
 }
 
 /// A ray ready to walk an octree. Made once and aimed at each ray of a batch, as it is too large to hand around.
 #[derive(Clone, Debug)]
 pub(super) struct Setup {
-    /// For the exact test.
-    pub line: Line,
-    /// For its f32 filter.
-    pub shear: Shear,
     /// For the node test.
     pub way: Way,
-    /// p'.
-    origin: [f64; 3],
-    inv: [f64; 3],
-    /// `inv` rounded once; dt of a frame is its unit times this.
-    inv32: [f32; 3],
-    /// In parameter units, see above.
-    slack: [f32; 3],
+    /// For frames.
+    pub aim: Aim,
+    /// Whether parameters are the ray's own.
+    plain: bool,
     /// The parameter (relative to tau0) at which the ray leaves the root or its interval, rounded up.
     pub far: f32,
     /// tau = t * scale.
@@ -117,6 +122,8 @@ const LEAST_COMPONENT: f64 = 1.0 / (1u128 << 100) as f64;
 const PAD: f64 = 1.0 / (1u64 << 46) as f64;
 /// From this distance on, in root sizes, the start is brought nearer.
 const FAR: f64 = (1u64 << 30) as f64;
+/// Then this is `inv`: no parameter matters, yet steps stay normal numbers, as the kernels need.
+const BLIND: f64 = 1.0 / (1u64 << 60) as f64;
 /// From this pad on the walk visits all boxes.
 const PAD_MAX: f64 = 1.0 / 64.0;
 
@@ -194,29 +201,28 @@ fn approach(ray: &Ray, scene: &Scene, g: [f64; 3], inv: [f64; 3], (first, last):
 impl Setup {
     /// One that is yet to be aimed.
     pub fn blank() -> Setup {
-        Setup {
-            line: Line::new(&Ray::new([0.0; 3], [0.0; 3])),
-            shear: Shear::default(),
-            way: Way::default(),
-            origin: [0.0; 3],
-            inv: [0.0; 3],
-            inv32: [0.0; 3],
-            slack: [0.0; 3],
-            far: 0.0,
-            scale: 0.0,
-            tau0: 0.0,
-            pad: 0.0,
-        }
+        Setup { way: Way::default(), aim: Aim::default(), plain: false, far: 0.0, scale: 0.0, tau0: 0.0, pad: 0.0 }
     }
 
-    /// Prepares a valid ray; false if it misses the root cube, and then nothing here is to be used.
+    /// Prepares a ray; false if it is invalid or found to miss the root cube, and then nothing here is to be used.
     #[inline(always)]
-    pub fn aim(&mut self, ray: &Ray, scene: &Scene) -> bool {
-        let [dx, dy, dz] = [f64::from(ray.direction[0]), f64::from(ray.direction[1]), f64::from(ray.direction[2])];
-        let exponent = log2_floor(greater(greater(dx.abs(), dy.abs()), dz.abs()));
-        let shrink = exp2(-exponent);
-        let g = [dx * shrink, dy * shrink, dz * shrink];
-        let scale = exp2(exponent) * scene.scale;
+    pub fn aim<K: Kernel>(&mut self, kernel: K, ray: &Ray, scene: &Scene) -> bool {
+        // pad is below 2^-41, so far below eps (L + 8) that the kernel's constant 3.01 in place of 3 covers it, and its own roundings.
+        if kernel.aim(ray, &scene.fit, &mut self.way, &mut self.aim) {
+            // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
+            self.way.order = self.way.mask ^ scene.turn;
+            self.way.near = ray.tmin.next_down();
+            self.far = ray.tmax.next_up();
+            self.plain = true;
+            return true;
+        }
+        ray.is_valid() && self.aim_any(ray, scene)
+    }
+
+    /// Prepares any valid ray.
+    #[inline(never)]
+    fn aim_any(&mut self, ray: &Ray, scene: &Scene) -> bool {
+        self.plain = false;
         let corner = scene.root.corner;
         // Scaling by powers of two is exact.
         let p = [
@@ -224,6 +230,11 @@ impl Setup {
             (f64::from(ray.origin[1]) - corner.y) * scene.scale,
             (f64::from(ray.origin[2]) - corner.z) * scene.scale,
         ];
+        let [dx, dy, dz] = [f64::from(ray.direction[0]), f64::from(ray.direction[1]), f64::from(ray.direction[2])];
+        let exponent = log2_floor(greater(greater(dx.abs(), dy.abs()), dz.abs()));
+        let shrink = exp2(-exponent);
+        let g = [dx * shrink, dy * shrink, dz * shrink];
+        let scale = exp2(exponent) * scene.scale;
         let mut inv = [0.0; 3];
         for i in 0..3 {
             let component = if g[i].abs() < LEAST_COMPONENT { LEAST_COMPONENT.copysign(g[i]) } else { g[i] };
@@ -249,6 +260,7 @@ impl Setup {
         let tau0 = lesser(greater(0.0, enter), exit);
         let way = &mut self.way;
         way.mask = u8::from(inv[0] < 0.0) << 2 | u8::from(inv[1] < 0.0) << 1 | u8::from(inv[2] < 0.0);
+        way.order = way.mask ^ scene.turn;
         way.near = ((enter - tau0) as f32).next_down();
         self.far = ((exit - tau0) as f32).next_up();
         (self.scale, self.tau0, self.pad) = (scale, start.tau + tau0, PAD * (distance + 2.0));
@@ -258,34 +270,23 @@ impl Setup {
             let origin = p[i] + tau0 * g[i];
             let position = pad + scene.rounding * (origin.abs() + 3.0);
             let slack = ((inv[i].abs() * position) as f32).next_up();
-            let inv = if blind { 0.0 } else { inv[i] };
-            self.origin[i] = if blind { 0.0 } else { origin };
-            self.slack[i] = if blind { f32::MAX / 4.0 } else { slack };
-            self.inv[i] = inv;
-            self.inv32[i] = inv as f32;
-            self.way.least[i] = inv as f32 * Frame::LEAST_UNIT as f32;
+            let inv = if blind { BLIND } else { inv[i] } as f32;
+            let slack = if blind { f32::MAX / 4.0 } else { slack };
+            self.aim.origin[i] = if blind { 0.0 } else { origin };
+            self.aim.inv[i] = inv;
+            self.aim.slack[i] = slack;
+            way.slack[i] = 2.0 * slack;
+            way.least[i] = inv * Frame::LEAST_UNIT as f32;
         }
-        self.line = Line::new(ray);
-        self.shear = Shear::new(ray, scene.bounds);
         true
-    }
-
-    /// The parameters of a brick's or the root's frame: its corner's rounded once, then the slack taken off and added.
-    #[inline(always)]
-    pub fn planes(&self, frame: &Frame) -> Planes {
-        let mut planes = Planes { begin: [0.0; 4], end: [0.0; 4], dt: [0.0; 4] };
-        for i in 0..3 {
-            let corner = ((frame.corner[i] - self.origin[i]) * self.inv[i]) as f32;
-            planes.begin[i] = corner - self.slack[i];
-            planes.end[i] = corner + self.slack[i];
-            planes.dt[i] = frame.unit[i] as f32 * self.inv32[i];
-        }
-        planes
     }
 
     /// The parameter that no nearer node may pass, for a hit at most at `t`, rounded up.
     #[inline(always)]
-    pub fn reach(&self, t: f64) -> f32 {
-        ((t * self.scale - self.tau0 + self.pad) as f32).next_up()
+    pub fn reach(&self, t: f32) -> f32 {
+        if self.plain {
+            return t;
+        }
+        ((f64::from(t) * self.scale - self.tau0 + self.pad) as f32).next_up()
     }
 }

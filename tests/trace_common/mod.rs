@@ -108,6 +108,32 @@ impl Mesh {
         mesh
     }
 
+    /// A room of twelve huge triangles with detailed spheres in it and long thin spikes across it; all surfaces closed.
+    pub fn room() -> Mesh {
+        let mut random = Random(17);
+        let mut mesh = Mesh::cube(1).placed(5.0, 0.0);
+        for _ in 0..6 {
+            let centre = random.vector().map(|x| 4.0 * x);
+            mesh.append(Mesh::sphere(3, 0.0), |p| std::array::from_fn(|i| centre[i] + 0.4 * p[i]));
+        }
+        for _ in 0..60 {
+            let (from, to) = (random.vector().map(|x| 4.9 * x), random.vector().map(|x| 4.9 * x));
+            let [mut b, mut c] = [from; 2];
+            (b[0], c[1]) = (b[0] + 0.02, c[1] + 0.02);
+            let spike =
+                Mesh { positions: vec![from, b, c, to], faces: vec![[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]] };
+            mesh.append(spike, |p| p);
+        }
+        mesh
+    }
+
+    /// Adds another mesh, moved by `place`.
+    fn append(&mut self, other: Mesh, place: impl Fn([f32; 3]) -> [f32; 3]) {
+        let first = self.positions.len() as u32;
+        self.positions.extend(other.positions.into_iter().map(place));
+        self.faces.extend(other.faces.into_iter().map(|face| face.map(|i| first + i)));
+    }
+
     /// The mesh scaled, then moved.
     pub fn placed(mut self, scale: f32, offset: f32) -> Mesh {
         self.positions.iter_mut().for_each(|p| *p = p.map(|x| x * scale + offset));

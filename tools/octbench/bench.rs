@@ -61,6 +61,18 @@ pub fn load(path: &Path, monitor: Monitor<'_>) -> Result<Mesh> {
     Ok(mesh)
 }
 
+/// A file of fixed records.
+pub fn records<T: bytemuck::Pod>(path: &Path) -> Result<Vec<T>> {
+    let bytes = std::fs::read(path).map_err(Error::io(path, "open"))?;
+    if bytes.len() % size_of::<T>() != 0 {
+        let what = format!("{} bytes are no whole number of records of {}", bytes.len(), size_of::<T>());
+        return Err(Error::Input { file: path.to_owned(), what });
+    }
+    let mut list = vec![T::zeroed(); bytes.len() / size_of::<T>()];
+    bytemuck::cast_slice_mut(&mut list).copy_from_slice(&bytes);
+    Ok(list)
+}
+
 struct Collected(Mesh);
 
 impl MeshSink for Collected {

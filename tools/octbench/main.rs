@@ -8,9 +8,13 @@ mod bench;
 #[path = "../cli/mod.rs"]
 mod cli;
 mod families;
+mod machine;
+mod mirrors;
 mod oracle;
 mod planet;
 mod random;
+mod speed;
+mod timing;
 mod tradeoff;
 mod yardstick;
 
@@ -45,6 +49,8 @@ Examples:
   octbench accuracy --rays 1e6 --stats accuracy.json
   octbench accuracy --model bunny.obj --rays 1e6
   octbench closed --rays 1e7
+  octbench mirrors --paths 1e6 --bounces 1000
+  octbench speed bunny.oct --view bunny-over
   octbench tradeoff --model bunny.obj -o tradeoff
   octbench mesh -n 1e6 -o planet.obj
 ";
@@ -57,6 +63,12 @@ enum Command {
     Replay(Replay),
     /// Count crossings of a closed mesh, which must be even, and escapes from inside
     Closed(Closed),
+    /// Follow paths through closed boxes of mirrors, which none may leave
+    Mirrors(mirrors::Options),
+    /// Rays per second by kernel, what a ray costs, and how other tracers do on the same rays
+    Speed(speed::Options),
+    /// One Markdown table of the statistics that several runs of `speed` wrote
+    Figures(Figures),
     /// Speed against error: this tracer and naive ones, on the same rays
     Tradeoff(tradeoff::Options),
     /// Write a closed planet as OBJ
@@ -95,7 +107,7 @@ struct Replay {
 
 #[derive(clap::Args)]
 struct Closed {
-    /// A closed mesh [default: a planet of 100,000 triangles]
+    /// A closed mesh [default: a planet of 101,568 triangles]
     #[arg(long, value_name = "FILE.obj")]
     model: Option<PathBuf>,
     /// Rays aimed at vertices, middles of edges and points of faces
@@ -106,6 +118,13 @@ struct Closed {
     seed: u64,
     #[command(flatten)]
     stats: StatsFile,
+}
+
+#[derive(clap::Args)]
+struct Figures {
+    /// Files that `octbench speed --stats` wrote
+    #[arg(value_name = "FILE.json", required = true)]
+    files: Vec<PathBuf>,
 }
 
 #[derive(clap::Args)]
@@ -146,7 +165,10 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Command::Accuracy(options) => run_accuracy(options, session),
         Command::Replay(options) => run_replay(options, session),
         Command::Closed(options) => run_closed(options, session),
-        Command::Tradeoff(options) => tradeoff::run(options, session).map(|()| ExitCode::SUCCESS),
+        Command::Mirrors(options) => mirrors::run(options, session).map(verdict),
+        Command::Speed(options) => speed::run(options, session),
+        Command::Figures(options) => print(&speed::figures::markdown(&options.files)?).map(|()| ExitCode::SUCCESS),
+        Command::Tradeoff(options) => tradeoff::run(options, session),
         Command::Mesh(options) => write_mesh(options, session).map(|()| ExitCode::SUCCESS),
     }
 }
@@ -154,6 +176,11 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
 /// Exit code of a check that found so many errors.
 fn verdict(errors: u64) -> ExitCode {
     if errors == 0 { ExitCode::SUCCESS } else { ExitCode::from(CHECK_FAILED) }
+}
+
+/// Prints the table unless standard output carries the statistics.
+fn table(stats: &StatsFile, text: &str) -> Result<()> {
+    if stats_on_stdout(stats) { Ok(()) } else { print(text) }
 }
 
 /// Whether standard output carries the statistics.
@@ -198,9 +225,7 @@ fn run_replay(options: &Replay, session: &Session<'_>) -> Result<ExitCode> {
 /// The table, the statistics, and the summary.
 fn finish(report: &Report, stats: &StatsFile, session: &Session<'_>) -> Result<()> {
     stats.write(report)?;
-    if !stats_on_stdout(stats) {
-        print(&report.table())?;
-    }
+    table(stats, &report.table())?;
     session.say(report.summary().trim_end());
     Ok(())
 }
@@ -209,7 +234,7 @@ fn run_closed(options: &Closed, session: &Session<'_>) -> Result<ExitCode> {
     let monitor = session.monitor();
     let (mesh, name) = match &options.model {
         Some(path) => (bench::load(path, monitor)?, path.as_path()),
-        None => (planet::mesh(100_000, options.seed), Path::new("planet")),
+        None => (planet::mesh(101_568, options.seed), Path::new("planet")),
     };
     let r = closed::run(&mesh, name, options.rays, options.seed, monitor)?;
     options.stats.write(&r)?;

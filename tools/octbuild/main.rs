@@ -63,7 +63,7 @@ struct Tree {
     /// With --split octree or strict: deepest level of cells, 0 to 21 [default: 21]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=21))]
     depth: Option<u8>,
-    /// Leave out face ids: 4 bytes a triangle less, and hits name places in the file instead
+    /// Leave out face ids: 4 bytes a triangle less, and hits name places in the file instead; large triangles are not cut
     #[arg(long)]
     no_ids: bool,
 }

@@ -9,7 +9,8 @@
 //!
 //! Costs travel up while the binary tree is built; only the choices ([`Plan`], 8 bytes a node) are kept for the way down.
 
-use super::sah::{BinaryNode, Primitive};
+use super::primitive::Primitive;
+use super::sah::{Binary, BinaryNode};
 use super::wide::{Bounds, Child, WideTree};
 use crate::geometry::{Aabb, RootCube};
 
@@ -26,10 +27,20 @@ pub(super) struct Costs([f64; 7]);
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Plan([u8; 8]);
 
+impl Plan {
+    /// Without regard to costs: as equal shares as can be.
+    pub const BALANCED: Plan = Plan([1, 1, 1, 2, 2, 3, 3, 4]);
+}
+
 impl Costs {
     /// Of a subtree that is a leaf and is not divided.
     pub fn terminal(area: f64) -> Costs {
         Costs([area * LEAF_COST; 7])
+    }
+
+    /// The cost as a single child of some node.
+    pub fn as_child(&self) -> f64 {
+        self.0[0]
     }
 
     /// Of a node with two children. `is_record`: whether one leaf record holds the whole subtree.
@@ -62,14 +73,15 @@ fn distribute(left: &Costs, right: &Costs, i: usize) -> (f64, u8) {
     best
 }
 
-/// The 8-wide tree over a binary tree; `primitives` as [`super::sah::build`] left them.
-pub(super) fn collapse(binary: &[BinaryNode], primitives: &[Primitive], order: &[u32], root: RootCube) -> WideTree {
+/// The 8-wide tree over a binary tree.
+pub(super) fn collapse(binary: &Binary, order: &[u32], root: RootCube) -> WideTree {
+    let count = binary.nodes[0].count as usize;
     let mut tree = WideTree {
-        references: primitives.iter().map(|p| order[p.id as usize]).collect(),
-        leaves: Vec::with_capacity(primitives.len() / 8 + 1),
-        nodes: Vec::with_capacity(primitives.len() / 32 + 1),
+        references: Vec::with_capacity(count),
+        leaves: Vec::with_capacity(count / 8 + 1),
+        nodes: Vec::with_capacity(count / 32 + 1),
     };
-    let top = Collapse { binary, root }.child(&mut tree, 0);
+    let top = Collapse { binary: &binary.nodes, primitives: &binary.primitives, order, root }.child(&mut tree, 0);
     let top = tree.root_of(top);
     debug_assert_eq!(top as usize, tree.nodes.len() - 1, "the root is the last node");
     tree
@@ -77,6 +89,8 @@ pub(super) fn collapse(binary: &[BinaryNode], primitives: &[Primitive], order: &
 
 struct Collapse<'a> {
     binary: &'a [BinaryNode],
+    primitives: &'a [Primitive],
+    order: &'a [u32],
     root: RootCube,
 }
 
@@ -85,11 +99,12 @@ impl Collapse<'_> {
     fn child(&self, tree: &mut WideTree, node: usize) -> Child {
         let binary = &self.binary[node];
         if binary.right == 0 || binary.plan.0[0] == 0 {
+            let first = tree.references.len();
+            self.gather(node, first, &mut tree.references);
             let bounds = Bounds::of(Aabb { min: binary.min.into(), max: binary.max.into() }, self.root);
-            return tree.add_leaf(bounds, binary.first, binary.count);
+            return tree.add_leaf(bounds, first as u32, (tree.references.len() - first) as u32);
         }
-        let (mut cut, mut len) = ([0; 8], 0);
-        self.cut_below(node, 8, &mut cut, &mut len);
+        let (cut, len) = children(self.binary, node);
         let mut made = [Child::Empty; 8];
         for (child, &n) in made.iter_mut().zip(&cut[..len]) {
             *child = self.child(tree, n);
@@ -97,24 +112,60 @@ impl Collapse<'_> {
         tree.add_node_by_place(&made[..len])
     }
 
-    /// The binary nodes that stand for `node` when it may have up to `slots` children of the node above.
-    fn cut(&self, node: usize, slots: usize, cut: &mut [usize; 8], len: &mut usize) {
+    /// Adds the triangles of a subtree that is to be a leaf, whose first is number `first`: parts of one that meet again
+    /// in it count once.
+    fn gather(&self, node: usize, first: usize, references: &mut Vec<u32>) {
         let binary = &self.binary[node];
-        let fewest = (2..=slots).rev().find(|&i| binary.plan.0[i - 1] != 0);
-        match fewest {
-            Some(i) if binary.right != 0 => self.cut_below(node, i, cut, len),
-            _ => {
-                cut[*len] = node;
-                *len += 1;
+        if binary.right != 0 {
+            self.gather(node + 1, first, references);
+            return self.gather(node + binary.right as usize, first, references);
+        }
+        let at = binary.first as usize;
+        for primitive in &self.primitives[at..at + binary.count as usize] {
+            let reference = self.order[primitive.id as usize];
+            if !references[first..].contains(&reference) {
+                references.push(reference);
             }
         }
     }
+}
 
-    /// The same, divided for certain: by the plan for exactly `slots`.
-    fn cut_below(&self, node: usize, slots: usize, cut: &mut [usize; 8], len: &mut usize) {
-        let binary = &self.binary[node];
-        let share = usize::from(binary.plan.0[slots - 1]);
-        self.cut(node + 1, share, cut, len);
-        self.cut(node + binary.right as usize, slots - share, cut, len);
+impl Linked for BinaryNode {
+    fn link(&self) -> (usize, &Plan) {
+        (self.right as usize, &self.plan)
     }
+}
+
+/// A node of a binary tree in preorder.
+pub(super) trait Linked {
+    /// The distance to its right child (the left one is next; 0 = none), and its plan.
+    fn link(&self) -> (usize, &Plan);
+}
+
+/// The nodes of a binary tree that become the children of an 8-wide node in place of `node`, which has children.
+pub(super) fn children<N: Linked>(tree: &[N], node: usize) -> ([usize; 8], usize) {
+    let (mut cut, mut len) = ([0; 8], 0);
+    cut_below(tree, node, 8, &mut cut, &mut len);
+    (cut, len)
+}
+
+/// The nodes that stand for `node` when it may have up to `slots` children of the node above.
+fn cut<N: Linked>(tree: &[N], node: usize, slots: usize, taken: &mut [usize; 8], len: &mut usize) {
+    let (right, plan) = tree[node].link();
+    let fewest = (2..=slots).rev().find(|&i| plan.0[i - 1] != 0);
+    match fewest {
+        Some(i) if right != 0 => cut_below(tree, node, i, taken, len),
+        _ => {
+            taken[*len] = node;
+            *len += 1;
+        }
+    }
+}
+
+/// The same, divided for certain: by the plan for exactly `slots`.
+fn cut_below<N: Linked>(tree: &[N], node: usize, slots: usize, taken: &mut [usize; 8], len: &mut usize) {
+    let (right, plan) = tree[node].link();
+    let share = usize::from(plan.0[slots - 1]);
+    cut(tree, node + 1, share, taken, len);
+    cut(tree, node + right, slots - share, taken, len);
 }

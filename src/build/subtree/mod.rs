@@ -2,24 +2,28 @@
 //!
 //! A brick is an octree cell (or the whole mesh). Its triangles are put into a canonical order (Morton code, then face),
 //! so that the result depends on the set of triangles alone. Then one of three ways to split makes an 8-wide tree in
-//! exact boxes ([`wide`]): surface-area splits and an optimal collapse ([`sah`], [`collapse`]), true octants
+//! exact boxes ([`wide`]): surface-area splits ([`sah`]; with [`spatial`] ones where they pay) and an optimal collapse
+//! ([`collapse`]), true octants
 //! ([`octree`]), or true octants with a reference in every overlapped cell ([`strict`]). [`emit`] quantises it into the
 //! records of FORMAT.md.
 //!
 //! Memory, sah mode, bytes a triangle: 16 for sorting, freed before 32 (box and number), about 40 (binary nodes) and 20
-//! to 25 (wide tree, nodes, leaves), 4 for the order: at most some 110 above the input's 40. Octree mode: 12 instead of the first two;
+//! to 25 (wide tree, nodes, leaves), 4 for the order: at most some 110 above the input's 40; where spatial splits are tried
+//! up to 30 % more, and the lists of a split, 40 a triangle while it is made. Octree mode: 12 instead of the first two;
 //! strict mode: per reference, and at most 32 of those a triangle.
 //!
-//! Not done here: choosing bricks, side arrays, pages, spatial splits.
+//! Not done here: choosing bricks, side arrays, pages.
 
 mod assign;
 mod cell;
 mod collapse;
 mod emit;
 mod octree;
+mod primitive;
 mod quantise;
 mod record;
 mod sah;
+mod spatial;
 mod strict;
 #[cfg(test)]
 mod tests;
@@ -54,6 +58,8 @@ pub struct SubtreeOptions {
     pub depth: u32,
     /// Unit of leaf offsets, which decides how many vertices a leaf may have.
     pub unit: LeafUnit,
+    /// Sah mode: whether a triangle may be stored in several leaves (spatial splits), each of which covers a part of it.
+    pub repeats: bool,
 }
 
 /// The nodes and leaves of a brick.
@@ -65,7 +71,7 @@ pub struct Subtree {
     pub leaf_bytes: Vec<u8>,
     /// How many leaves.
     pub leaves: u32,
-    /// Reference r stands for the input's triangle `order[r]`; repeats in strict mode.
+    /// Reference r stands for the input's triangle `order[r]`; repeats in strict mode and with spatial splits.
     pub order: Vec<u32>,
     /// Brick frame: corner in root units.
     pub corner: [f32; 3],
@@ -97,10 +103,7 @@ pub fn build_subtree(triangles: &[BrickTriangle], cell: Cell, root: RootCube, op
     let tree = match options.split {
         SplitMode::Sah => {
             drop(sorted);
-            let number = |(id, &i): (usize, &u32)| sah::Primitive::new(id as u32, &triangles[i as usize].triangle);
-            let mut primitives: Vec<_> = order.iter().enumerate().map(number).collect();
-            let binary = sah::build(&mut primitives, canonical, limits);
-            collapse::collapse(&binary, &primitives, &order, root)
+            collapse::collapse(&spatial::best_tree(canonical, limits, options.repeats), &order, root)
         }
         SplitMode::Octree => {
             let codes: Vec<u64> = sorted.iter().map(|key| key.code).collect();

@@ -11,7 +11,7 @@ use crate::geometry::Aabb;
 const MODES: [SplitMode; 3] = [SplitMode::Sah, SplitMode::Octree, SplitMode::Strict];
 
 fn options(split: SplitMode) -> SubtreeOptions {
-    SubtreeOptions { split, leaf: 16, cell: 16, depth: 21, unit: LeafUnit::B16 }
+    SubtreeOptions { split, leaf: 16, cell: 16, depth: 21, unit: LeafUnit::B16, repeats: false }
 }
 
 fn numbered(triangles: impl IntoIterator<Item = Triangle>) -> Vec<BrickTriangle> {
@@ -108,7 +108,11 @@ fn check(triangles: &[BrickTriangle], root: RootCube, options: &SubtreeOptions, 
         let source = &triangles[subtree.order[s.reference as usize] as usize];
         assert!(same_bits(&s.triangle, &source.triangle));
     }
-    if options.split == SplitMode::Strict {
+    if options.split == SplitMode::Sah {
+        let most = triangles.len() + if options.repeats { triangles.len() * 3 / 10 } else { 0 };
+        assert!(subtree.order.len() <= most, "{} places for {} triangles", subtree.order.len(), triangles.len());
+    }
+    if subtree.order.len() > triangles.len() || options.split == SplitMode::Strict {
         check_coverage(triangles, root, subtree, &seen);
     } else {
         let mut order = subtree.order.clone();
@@ -122,7 +126,7 @@ fn check(triangles: &[BrickTriangle], root: RootCube, options: &SubtreeOptions, 
     }
 }
 
-/// Strict mode: points all over each triangle lie in the box of one of its references, all the way from the root.
+/// Triangles in several places: points all over each triangle lie in the box of one of its references, all the way from the root.
 fn check_coverage(triangles: &[BrickTriangle], root: RootCube, subtree: &Subtree, seen: &[Seen]) {
     let mut boxes = vec![Vec::new(); triangles.len()];
     for s in seen {
@@ -153,7 +157,7 @@ fn validate(triangles: &[BrickTriangle], options: &SubtreeOptions, subtree: &Sub
     if options.unit == LeafUnit::B32 {
         flags |= Flags::LEAF_UNIT_32;
     }
-    if options.split == SplitMode::Strict {
+    if options.split == SplitMode::Strict || options.repeats {
         flags |= Flags::REPEATS;
     }
     validate_page(&page, PageId(0), &record, Flags(flags), 0, triangles.len() as u64).unwrap();
@@ -164,8 +168,10 @@ fn check_all_modes(triangles: &[BrickTriangle]) {
     let root = root_of(triangles);
     for split in MODES {
         for (leaf, cell, unit) in [(16, 16, LeafUnit::B16), (3, 8, LeafUnit::B32), (1, usize::MAX, LeafUnit::B16)] {
-            let options = SubtreeOptions { leaf, cell, unit, ..options(split) };
-            check(triangles, root, &options, &build_subtree(triangles, Cell::ROOT, root, &options));
+            for repeats in [false, true] {
+                let options = SubtreeOptions { leaf, cell, unit, repeats, ..options(split) };
+                check(triangles, root, &options, &build_subtree(triangles, Cell::ROOT, root, &options));
+            }
         }
     }
 }
@@ -267,6 +273,85 @@ fn threads_do_not_matter() {
     let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
     let build = |n| pool(n).install(|| whole(&mesh, &options(SplitMode::Sah)));
     assert_eq!(build(1), build(3));
+}
+
+/// A room of walls, each of two huge triangles, with long diagonal needles through it and small detailed objects in it.
+fn room() -> Vec<BrickTriangle> {
+    let corner = |i: usize| Vec3::new((i >> 2) as f32, (i >> 1 & 1) as f32, (i & 1) as f32) * 10.0;
+    let walls = [[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]];
+    let walls = walls.into_iter().flat_map(|q| {
+        let [a, b, c, d] = q.map(corner);
+        [Triangle { a, b, c }, Triangle { a, b: c, c: d }]
+    });
+    let needles = (0..200).map(|i| {
+        let x = i as f32 * 0.04;
+        let end = Vec3::new(9.0 - x, 9.5, 0.5 + 8.0 * (x * 7.0).sin().abs());
+        Triangle { a: Vec3::new(x, 0.5, 0.5), b: end, c: end + Vec3::splat(0.02) }
+    });
+    let objects = (0..8).flat_map(|i| {
+        let place = corner(i) * 0.7 + Vec3::ONE;
+        sheet(14).into_iter().map(move |t| {
+            let [a, b, c] = t.triangle.vertices().map(|v| place + v);
+            Triangle { a, b, c }
+        })
+    });
+    numbered(walls.chain(needles).chain(objects))
+}
+
+/// The sum of the boxes' surfaces of all leaves: what rays that miss everything visit.
+fn leaf_area(subtree: &Subtree) -> f64 {
+    let mut boxes: Vec<_> = walk(subtree, LeafUnit::B16).0.iter().map(|s| s.bounds.corners()).collect();
+    boxes.dedup();
+    let area = |[min, max]: [[f64; 3]; 2]| {
+        let d = DVec3::from_array(max) - DVec3::from_array(min);
+        d.x * d.y + d.y * d.z + d.z * d.x
+    };
+    boxes.into_iter().map(area).sum()
+}
+
+#[test]
+fn large_triangles_are_cut_where_it_pays() {
+    let mesh = room();
+    let whole_triangles = whole(&mesh, &options(SplitMode::Sah));
+    let cut = SubtreeOptions { repeats: true, ..options(SplitMode::Sah) };
+    let subtree = whole(&mesh, &cut);
+    assert!(subtree.order.len() > mesh.len());
+    let (before, after) = (leaf_area(&whole_triangles), leaf_area(&subtree));
+    assert!(after < 0.7 * before, "{after} of {before}");
+    check(&mesh, root_of(&mesh), &cut, &subtree);
+    check_all_modes(&mesh);
+    // In no leaf twice.
+    let mut rest = &subtree.leaf_bytes[..];
+    while !rest.is_empty() {
+        let leaf = Leaf::parse(rest, LeafUnit::B16).unwrap();
+        let first = leaf.first() as usize;
+        let mut faces = subtree.order[first..first + leaf.len()].to_vec();
+        faces.sort_unstable();
+        faces.dedup();
+        assert_eq!(faces.len(), leaf.len());
+        rest = &rest[leaf.size(LeafUnit::B16)..];
+    }
+}
+
+#[test]
+fn evenly_sized_triangles_are_not_cut() {
+    let mesh = sheet(60);
+    let cut = SubtreeOptions { repeats: true, ..options(SplitMode::Sah) };
+    assert_eq!(whole(&mesh, &cut), whole(&mesh, &options(SplitMode::Sah)));
+}
+
+#[test]
+fn order_and_threads_do_not_matter_to_cuts() {
+    let mesh = room();
+    let mut turned = mesh.clone();
+    turned.reverse();
+    let cut = SubtreeOptions { repeats: true, ..options(SplitMode::Sah) };
+    let pool = |n| rayon::ThreadPoolBuilder::new().num_threads(n).build().unwrap();
+    let (a, b) = (pool(1).install(|| whole(&mesh, &cut)), pool(3).install(|| whole(&turned, &cut)));
+    assert_eq!((a.nodes, a.leaf_bytes), (b.nodes, b.leaf_bytes));
+    let faces =
+        |mesh: &[BrickTriangle], order: &[u32]| order.iter().map(|&i| mesh[i as usize].face).collect::<Vec<_>>();
+    assert_eq!(faces(&mesh, &a.order), faces(&turned, &b.order));
 }
 
 #[test]
@@ -399,7 +484,7 @@ proptest! {
     fn random_meshes(
         places in prop::collection::vec(prop::array::uniform9(-1.0f32..1.0), 1..300),
         size in -40i32..2, scale in -145i32..=116, offset in prop::array::uniform3(-1e3f32..1e3),
-        mode in 0usize..3, leaf in 1usize..=16, cell in 1usize..40, depth in 0u32..=21, wide in any::<bool>(),
+        mode in 0usize..3, leaf in 1usize..=16, cell in 1usize..40, depth in 0u32..=21, wide in any::<bool>(), repeats in any::<bool>(),
     ) {
         let (size, scale, offset) = (2f32.powi(size), 2f32.powi(scale), Vec3::from_array(offset));
         let mesh = numbered(places.into_iter().map(|p| {
@@ -408,7 +493,7 @@ proptest! {
             Triangle { a: at(0), b: at(3), c: at(5) }
         }));
         let unit = if wide { LeafUnit::B32 } else { LeafUnit::B16 };
-        let options = SubtreeOptions { split: MODES[mode], leaf, cell, depth, unit };
+        let options = SubtreeOptions { split: MODES[mode], leaf, cell, depth, unit, repeats };
         let root = root_of(&mesh);
         check(&mesh, root, &options, &build_subtree(&mesh, Cell::ROOT, root, &options));
     }

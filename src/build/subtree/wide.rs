@@ -35,6 +35,12 @@ impl Bounds {
         Bounds { min: self.min.clamp(cell.min, cell.max), max: self.max.clamp(cell.min, cell.max) }
     }
 
+    /// Half the surface.
+    pub fn half_area(self) -> f64 {
+        let d = self.max - self.min;
+        d.x * d.y + d.y * d.z + d.z * d.x
+    }
+
     /// The middle.
     pub fn centre(self) -> DVec3 {
         0.5 * (self.min + self.max)

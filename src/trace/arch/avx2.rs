@@ -3,9 +3,10 @@
 use std::arch::x86_64::*;
 
 use super::scalar;
-use super::{Job, Kernel, Planes, Touched, Way};
-use crate::exact::{Lanes, Shear};
-use crate::format::{Coding, Leaf, Node};
+use super::{Aim, Cell, Fit, Job, Kernel, MODERATE, NEAR, Saved, Way};
+use crate::exact::{Depths, Lanes, Shear, U};
+use crate::format::{self, Coding, Leaf, Node};
+use crate::geometry::Ray;
 
 /// Proof that the processor has AVX2, FMA, BMI and LZCNT.
 #[derive(Clone, Copy, Debug)]
@@ -33,7 +34,7 @@ pub(super) unsafe fn run<J: Job>(job: J) -> J::Output {
     job.run(Avx2(()))
 }
 
-/// For each direction mask m the shuffle that puts eight bytes in the order of visits: byte i is slot i XOR m. The second half does
+/// For each order m the shuffle that puts eight bytes in the order of visits: byte i is slot i XOR m. The second half does
 /// the same for bytes 8 to 15.
 const ORDER: [[u8; 16]; 8] = {
     let mut order = [[0u8; 16]; 8];
@@ -60,36 +61,63 @@ unsafe fn numbers(bytes: *const u8, order: __m128i) -> __m256 {
     unsafe { _mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(_mm_shuffle_epi8(_mm_loadl_epi64(bytes.cast()), order))) }
 }
 
-/// The node test for eight slots, shared with AVX-512.
+/// [`super::Planes`] in registers.
+#[derive(Clone, Copy)]
+pub(super) struct Frame {
+    begin: __m128,
+    dt: __m128,
+}
+
+/// One lane of four in all eight.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+unsafe fn lane<const I: i32>(x: __m128) -> __m256 {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        match I {
+            0 => _mm256_broadcastss_ps(x),
+            _ => _mm256_permutevar8x32_ps(_mm256_castps128_ps256(x), _mm256_set1_epi32(I)),
+        }
+    }
+}
+
+/// The parameters at which one axis' planes are entered and left.
 ///
 /// # Safety
 /// AVX2 and FMA must be there.
 #[inline(always)]
-pub(super) unsafe fn touch(node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched {
+unsafe fn axis<const I: i32>(node: &Node, frame: Frame, way: &Way, order: __m128i) -> [__m256; 2] {
     // SAFETY: the caller vouches for the instructions. Loads stay within the node: 8 bytes at 0..48.
     unsafe {
-        let mask = usize::from(way.mask & 7);
-        let order = _mm_loadl_epi64(ORDER[mask].as_ptr().cast());
         let base: *const u8 = std::ptr::from_ref(node).cast();
-        let down = [24 * (mask >> 2 & 1), 24 * (mask >> 1 & 1), 24 * (mask & 1)];
         // Low planes at 8 * axis, high ones 24 further on; a downward ray enters by the high plane.
-        let enter = |axis: usize| {
-            let plane = numbers(base.add(8 * axis + down[axis]), order);
-            _mm256_fmadd_ps(plane, _mm256_set1_ps(planes.dt[axis]), _mm256_set1_ps(planes.begin[axis]))
-        };
-        let leave = |axis: usize| {
-            let plane = numbers(base.add(8 * axis + 24 - down[axis]), order);
-            _mm256_fmadd_ps(plane, _mm256_set1_ps(planes.dt[axis]), _mm256_set1_ps(planes.end[axis]))
-        };
+        let down = 24 * usize::from(way.mask >> (2 - I) & 1);
+        let first = numbers(base.add(8 * I as usize + down), order);
+        let second = numbers(base.add(8 * I as usize + 24 - down), order);
+        let (begin, dt) = (lane::<I>(frame.begin), lane::<I>(frame.dt));
+        let end = _mm256_add_ps(begin, _mm256_broadcast_ss(&way.slack[I as usize]));
+        [_mm256_fmadd_ps(first, dt, begin), _mm256_fmadd_ps(second, dt, end)]
+    }
+}
+
+/// The node test for eight slots.
+///
+/// # Safety
+/// AVX2 and FMA must be there.
+#[inline(always)]
+unsafe fn touch(node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
+    // SAFETY: the caller vouches for the instructions.
+    unsafe {
+        let order = _mm_loadl_epi64(ORDER[usize::from(way.order & 7)].as_ptr().cast());
+        let [x0, x1] = axis::<0>(node, frame, way, order);
+        let [y0, y1] = axis::<1>(node, frame, way, order);
+        let [z0, z1] = axis::<2>(node, frame, way, order);
         // Where an operand is NaN the second is the result: at worst a plane binds nothing, and the ray's own ends always do.
-        let near = _mm256_max_ps(enter(0), _mm256_set1_ps(way.near));
-        let near = _mm256_max_ps(_mm256_max_ps(enter(1), enter(2)), near);
-        let last = _mm256_min_ps(leave(0), _mm256_set1_ps(far));
-        let last = _mm256_min_ps(_mm256_min_ps(leave(1), leave(2)), last);
-        let slots = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, last)) as u32;
-        let mut touched = Touched { near: [0.0; 8], slots };
-        _mm256_store_ps(touched.near.as_mut_ptr(), near);
-        touched
+        let near = _mm256_max_ps(_mm256_max_ps(y0, z0), _mm256_max_ps(x0, _mm256_set1_ps(way.near)));
+        let last = _mm256_min_ps(_mm256_min_ps(y1, z1), _mm256_min_ps(x1, _mm256_set1_ps(far)));
+        (_mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, last)) as u32, near)
     }
 }
 
@@ -98,11 +126,169 @@ pub(super) unsafe fn touch(node: &Node, planes: &Planes, way: &Way, far: f32) ->
 /// # Safety
 /// AVX2 must be there.
 #[inline(always)]
-pub(super) unsafe fn within(near: &[f32; 8], far: f32) -> u32 {
-    // SAFETY: the caller vouches for the instructions; the array is eight floats.
+pub(super) unsafe fn within(near: __m256, far: f32) -> u32 {
+    // SAFETY: the caller vouches for the instructions.
+    unsafe { _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, _mm256_set1_ps(far))) as u32 }
+}
+
+/// Three numbers in a register.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+unsafe fn three([x, y, z]: [f32; 3]) -> __m128 {
+    // SAFETY: as the caller vouches.
+    unsafe { _mm_setr_ps(x, y, z, 0.0) }
+}
+
+/// Aims a plain ray, shared with AVX-512; the same as the portable code does.
+///
+/// # Safety
+/// AVX2 and FMA must be there.
+#[inline(always)]
+pub(super) unsafe fn aim(ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool {
+    // SAFETY: the caller vouches for the instructions; the arrays are four numbers, and the loads stay within the ray's 32 bytes.
     unsafe {
-        let near = _mm256_loadu_ps(near.as_ptr());
-        _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, _mm256_set1_ps(far))) as u32
+        let numbers: *const f32 = std::ptr::from_ref(ray).cast();
+        let (o, d) = (_mm_loadu_ps(numbers), _mm_loadu_ps(numbers.add(3)));
+        let absolute = _mm256_castsi256_pd(_mm256_set1_epi64x(i64::MAX));
+        let scale = _mm256_set1_pd(fit.scale);
+        let p = _mm256_mul_pd(_mm256_sub_pd(_mm256_cvtps_pd(o), _mm256_loadu_pd(fit.corner.as_ptr())), scale);
+        let size = _mm256_and_pd(p, absolute);
+        let near = _mm256_movemask_pd(_mm256_cmp_pd::<_CMP_LE_OQ>(size, _mm256_set1_pd(NEAR)));
+        let sign = _mm_set1_ps(-0.0);
+        let steep = _mm_andnot_ps(sign, d);
+        let least = _mm_cmp_ps::<_CMP_GE_OQ>(steep, _mm_set1_ps(MODERATE[0]));
+        let most = _mm_cmp_ps::<_CMP_LE_OQ>(steep, _mm_set1_ps(MODERATE[1]));
+        let moderate = _mm_movemask_ps(_mm_and_ps(least, most));
+        let inv = _mm_div_ps(_mm_set1_ps(fit.side), d);
+        let away = _mm_add_ps(_mm256_cvtpd_ps(size), _mm_set1_ps(3.01));
+        let slack = _mm_mul_ps(_mm_andnot_ps(sign, inv), _mm_mul_ps(_mm_set1_ps(fit.rounding), away));
+        let unit = _mm_mul_ps(inv, _mm_set1_ps(format::Frame::LEAST_UNIT as f32));
+        _mm256_storeu_pd(aim.origin.as_mut_ptr(), p);
+        _mm_storeu_ps(aim.inv.as_mut_ptr(), inv);
+        _mm_storeu_ps(aim.slack.as_mut_ptr(), slack);
+        _mm_storeu_ps(way.slack.as_mut_ptr(), _mm_add_ps(slack, slack));
+        _mm_storeu_ps(way.least.as_mut_ptr(), unit);
+        // Bits x, y, z from the lowest on; the mask has x highest.
+        const MIRROR: [u8; 8] = [0, 4, 2, 6, 1, 5, 3, 7];
+        way.mask = MIRROR[(_mm_movemask_ps(d) & 7) as usize];
+        (near & moderate & 7 == 7) & (ray.tmin <= ray.tmax) & (fit.side < f32::INFINITY)
+    }
+}
+
+/// The parameters of the root's or a brick's frame, shared with AVX-512: begin and dt.
+///
+/// # Safety
+/// AVX2 and FMA must be there.
+#[inline(always)]
+pub(super) unsafe fn begin(cell: &Cell, aim: &Aim) -> [__m128; 2] {
+    // SAFETY: the caller vouches for the instructions; the arrays are four numbers.
+    unsafe {
+        let corner = _mm256_sub_pd(_mm256_cvtps_pd(three(cell.corner)), _mm256_loadu_pd(aim.origin.as_ptr()));
+        let (inv, slack) = (_mm_loadu_ps(aim.inv.as_ptr()), _mm_loadu_ps(aim.slack.as_ptr()));
+        [_mm_fmsub_ps(_mm256_cvtpd_ps(corner), inv, slack), _mm_mul_ps(three(cell.unit), inv)]
+    }
+}
+
+/// [`Line::rounded`](crate::exact::Line::rounded) in four lanes, shared with AVX-512.
+///
+/// # Safety
+/// AVX2 and FMA must be there.
+#[inline(always)]
+pub(super) unsafe fn rounded(leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+    // SAFETY: the caller vouches for the instructions; the arrays are four numbers.
+    unsafe {
+        let [a, b, c] = leaf.corners(lane);
+        let none = _mm256_setzero_pd();
+        let (mut p, mut q, mut r) = ([none; 3], [none; 3], [none; 3]);
+        let mut axis = 0;
+        while axis < 3 {
+            let x = leaf.coordinates(axis);
+            let (Some(&xa), Some(&xb), Some(&xc)) = (x.get(a), x.get(b), x.get(c)) else { return None };
+            let corners = _mm256_cvtps_pd(_mm_setr_ps(xa, xb, xc, xc));
+            let (o, d) = (f64::from(ray.origin[axis]), f64::from(ray.direction[axis]));
+            let o = _mm256_set1_pd(o);
+            let first = _mm256_broadcastsd_pd(_mm256_castpd256_pd128(corners));
+            // Lanes c, a, b, b less o, o, o, a; a, b, c, c less c, a, b, a; d, d, d, a - o.
+            let from = _mm256_blend_pd::<0b1000>(o, first);
+            p[axis] = _mm256_sub_pd(_mm256_permute4x64_pd::<0b01_01_00_10>(corners), from);
+            q[axis] = _mm256_sub_pd(corners, _mm256_permute4x64_pd::<0b00_01_00_10>(corners));
+            r[axis] = _mm256_blend_pd::<0b1000>(_mm256_set1_pd(d), _mm256_sub_pd(first, o));
+            axis += 1;
+        }
+        let sign = _mm256_set1_pd(-0.0);
+        let (mut value, mut permanent) = (none, none);
+        let mut i = 0;
+        while i < 3 {
+            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
+            let (plus, less) = (_mm256_mul_pd(p[j], q[k]), _mm256_mul_pd(p[k], q[j]));
+            value = _mm256_fmadd_pd(_mm256_sub_pd(plus, less), r[i], value);
+            let sizes = _mm256_add_pd(_mm256_andnot_pd(sign, plus), _mm256_andnot_pd(sign, less));
+            permanent = _mm256_fmadd_pd(sizes, _mm256_andnot_pd(sign, r[i]), permanent);
+            i += 1;
+        }
+        let error = _mm256_mul_pd(permanent, _mm256_set1_pd(9.0 * U));
+        let of_sum = _mm256_fmadd_pd(_mm256_set1_pd(4.0 * U), _mm256_andnot_pd(sign, value), error);
+        let (den, den_error) = (sum_of_three(value), sum_of_three(of_sum));
+        let inverse = _mm256_div_pd(_mm256_set1_pd(1.0), den);
+        let quotient = _mm256_mul_pd(value, inverse);
+        let size = _mm256_andnot_pd(sign, quotient);
+        let bound = _mm256_mul_pd(_mm256_fmadd_pd(size, den_error, error), _mm256_andnot_pd(sign, inverse));
+        let bound = _mm256_fmadd_pd(bound, _mm256_set1_pd(2.25), _mm256_mul_pd(size, _mm256_set1_pd(4.0 * U)));
+        let low = _mm256_cvtpd_ps(_mm256_sub_pd(quotient, bound));
+        let high = _mm256_cvtpd_ps(_mm256_add_pd(quotient, bound));
+        let same = _mm_movemask_ps(_mm_cmp_ps::<_CMP_EQ_OQ>(low, high));
+        let certain = _mm256_cmp_pd::<_CMP_GT_OQ>(_mm256_andnot_pd(sign, den), _mm256_add_pd(den_error, den_error));
+        if same & 0b1011 != 0b1011 || _mm256_movemask_pd(certain) & 1 == 0 {
+            return None;
+        }
+        // Adding +0 turns -0 into +0.
+        let mut answer = [0.0; 4];
+        _mm_storeu_ps(answer.as_mut_ptr(), _mm_add_ps(low, _mm_setzero_ps()));
+        Some([answer[3], answer[0], answer[1]])
+    }
+}
+
+/// The sum of the lower three lanes, in all four.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+unsafe fn sum_of_three(x: __m256d) -> __m256d {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        let first = _mm256_permute4x64_pd::<0b00_00_00_00>(x);
+        let second = _mm256_permute4x64_pd::<0b01_01_01_01>(x);
+        let third = _mm256_permute4x64_pd::<0b10_10_10_10>(x);
+        _mm256_add_pd(_mm256_add_pd(first, second), third)
+    }
+}
+
+/// Puts a node aside.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+unsafe fn save(saved: &mut Saved, frame: Frame, near: __m256) {
+    // SAFETY: the caller vouches for the instructions; the arrays are aligned to 32.
+    unsafe {
+        _mm256_store_ps(saved.near.as_mut_ptr(), near);
+        _mm_store_ps(saved.frame.as_mut_ptr(), frame.begin);
+        _mm_store_ps(saved.frame.as_mut_ptr().add(4), frame.dt);
+    }
+}
+
+/// Takes a node up again.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+unsafe fn load(saved: &Saved) -> (Frame, __m256) {
+    // SAFETY: as for `save`.
+    unsafe {
+        let at = saved.frame.as_ptr();
+        (Frame { begin: _mm_load_ps(at), dt: _mm_load_ps(at.add(4)) }, _mm256_load_ps(saved.near.as_ptr()))
     }
 }
 
@@ -116,129 +302,160 @@ unsafe fn slot_planes(planes: &[[u8; 8]; 3], slot: usize) -> __m128i {
     unsafe { _mm_setr_epi32(i32::from(planes[0][slot]), i32::from(planes[1][slot]), i32::from(planes[2][slot]), 0) }
 }
 
-/// A child's frame, shared with AVX-512.
+/// A child's frame from the numbers of its low and high planes.
 ///
 /// # Safety
 /// AVX2 and FMA must be there.
 #[inline(always)]
-pub(super) unsafe fn child(planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes {
-    // SAFETY: the caller vouches for the instructions; the arrays are four floats, aligned to 16.
+unsafe fn child(frame: Frame, low: __m128i, high: __m128i, way: &Way) -> Frame {
+    // SAFETY: the caller vouches for the instructions; the array is four floats, aligned to 16.
     unsafe {
-        let (low, high) = (slot_planes(&node.low, slot & 7), slot_planes(&node.high, slot & 7));
-        let (begin, end) = (_mm_load_ps(planes.begin.as_ptr()), _mm_load_ps(planes.end.as_ptr()));
-        let dt = _mm_load_ps(planes.dt.as_ptr());
-        let corner = _mm_cvtepi32_ps(low);
-        // 2^floor(log2(high - low)) is the float's exponent alone; at least 1, as high > low.
+        // 2^(floor(log2(high - low)) - 7) by the float's exponent alone; the difference is at least 1.
         let extent = _mm_cvtepi32_ps(_mm_max_epi32(_mm_sub_epi32(high, low), _mm_set1_epi32(1)));
-        let power = _mm_and_ps(extent, _mm_castsi128_ps(_mm_set1_epi32(0x7f80_0000)));
-        let shrunk = _mm_mul_ps(_mm_mul_ps(dt, power), _mm_set1_ps(1.0 / 128.0));
-        let least = _mm_load_ps(way.least.as_ptr());
-        let absolute = _mm_castsi128_ps(_mm_set1_epi32(0x7fff_ffff));
-        let small = _mm_cmplt_ps(_mm_and_ps(shrunk, absolute), _mm_and_ps(least, absolute));
-        let mut child = Planes { begin: [0.0; 4], end: [0.0; 4], dt: [0.0; 4] };
-        _mm_store_ps(child.begin.as_mut_ptr(), _mm_fmadd_ps(corner, dt, begin));
-        _mm_store_ps(child.end.as_mut_ptr(), _mm_fmadd_ps(corner, dt, end));
-        _mm_store_ps(child.dt.as_mut_ptr(), _mm_blendv_ps(shrunk, least, small));
-        child
+        let power = _mm_and_si128(_mm_castps_si128(extent), _mm_set1_epi32(0x7f80_0000));
+        let shrink = _mm_castsi128_ps(_mm_sub_epi32(power, _mm_set1_epi32(7 << 23)));
+        let dt = _mm_mul_ps(frame.dt, shrink);
+        // The larger magnitude; both have the ray's sign.
+        let (least, sign) = (_mm_load_ps(way.least.as_ptr()), _mm_set1_ps(-0.0));
+        let magnitude = _mm_max_ps(_mm_andnot_ps(sign, dt), _mm_andnot_ps(sign, least));
+        let dt = _mm_or_ps(magnitude, _mm_and_ps(sign, least));
+        Frame { begin: _mm_fmadd_ps(_mm_cvtepi32_ps(low), frame.dt, frame.begin), dt }
     }
 }
 
 impl Kernel for Avx2 {
+    type Frame = Frame;
+    type Near = __m256;
+
     #[inline(always)]
-    fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched {
+    fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, to: &mut Aim) -> bool {
         // SAFETY: `self` is proof.
-        unsafe { touch(node, planes, way, far) }
+        unsafe { aim(ray, fit, way, to) }
     }
 
     #[inline(always)]
-    fn within(self, near: &[f32; 8], far: f32) -> u32 {
+    fn frame(self, cell: &Cell, aim: &Aim, _: &Way) -> Frame {
+        // SAFETY: `self` is proof.
+        let [begin, dt] = unsafe { begin(cell, aim) };
+        Frame { begin, dt }
+    }
+
+    #[inline(always)]
+    fn save(self, saved: &mut Saved, frame: Frame, near: __m256) {
+        // SAFETY: `self` is proof.
+        unsafe { save(saved, frame, near) }
+    }
+
+    #[inline(always)]
+    fn load(self, saved: &Saved) -> (Frame, __m256) {
+        // SAFETY: `self` is proof.
+        unsafe { load(saved) }
+    }
+
+    #[inline(always)]
+    fn touch(self, node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
+        // SAFETY: `self` is proof.
+        unsafe { touch(node, frame, way, far) }
+    }
+
+    #[inline(always)]
+    fn within(self, near: __m256, far: f32) -> u32 {
         // SAFETY: `self` is proof.
         unsafe { within(near, far) }
     }
 
     #[inline(always)]
-    fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes {
+    fn child(self, frame: Frame, node: &Node, slot: usize, way: &Way) -> Frame {
         // SAFETY: `self` is proof.
-        unsafe { child(planes, node, slot, way) }
+        unsafe { child(frame, slot_planes(&node.low, slot & 7), slot_planes(&node.high, slot & 7), way) }
     }
 
     #[inline(always)]
-    fn classify(self, leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
-        let Some(table) = Table::of(leaf, shear) else { return scalar::classify(leaf, shear) };
+    fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
+        let (begin, nv) = (leaf.coding().coordinates_at(), leaf.vertices());
+        let steps = nv.div_ceil(8);
+        if leaf.is_empty() || leaf.bytes().len() < begin + 4 * (2 * nv + 8 * steps) {
+            return scalar::classify(leaf, shear, range, depths);
+        }
         let bits = u32::MAX >> (32 - leaf.len().clamp(1, 16));
-        // SAFETY: `self` is proof; `Table::of` checked that all loads lie within the leaf's bytes.
+        // SAFETY: `self` is proof; loads of axis k reach up to begin + 4 * (k * nv + 8 * steps), k <= 2, which was checked.
         unsafe {
-            let first = table.half(0, shear);
-            let second = if leaf.len() > 8 { table.half(1, shear) } else { Lanes::default() };
+            let table = Table::of(leaf, shear, steps);
+            let first = table.half(0, shear, range, depths);
+            let second = if leaf.len() > 8 { table.half(1, shear, range, depths) } else { Lanes::default() };
             Lanes {
                 accept: (first.accept | second.accept << 8) & bits,
                 doubt: (first.doubt | second.doubt << 8) & bits,
             }
         }
     }
+
+    #[inline(always)]
+    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+        // SAFETY: `self` is proof.
+        unsafe { rounded(leaf, lane, ray) }
+    }
 }
 
-/// A leaf's vertices, sheared, and its corner numbers.
+/// A leaf's vertices, sheared, eight a register, and its corner numbers.
 struct Table {
-    sheared: [[f32; 32]; 2],
+    /// Registers in use, 1 to 4.
+    steps: usize,
+    vertices: [[__m256; 3]; 4],
     corners: [[u8; 16]; 3],
 }
 
 impl Table {
-    /// Shears all vertices, eight at a time; `None` where the page ends too early behind the leaf for that.
+    /// Shears all vertices.
+    ///
+    /// # Safety
+    /// AVX2 must be there, and 32 readable bytes behind vertex 8 i of each axis, for all i < `steps`.
     #[inline(always)]
-    fn of(leaf: &Leaf<'_>, shear: &Shear) -> Option<Table> {
-        let (begin, nv) = (leaf.coding().coordinates_at(), leaf.vertices());
-        let bytes = leaf.bytes();
-        let steps = nv.div_ceil(8);
-        if leaf.is_empty() || bytes.len() < begin + 4 * (2 * nv + 8 * steps) {
-            return None;
-        }
-        let mut table = Table { sheared: [[0.0; 32]; 2], corners: [[0; 16]; 3] };
-        match leaf.coding() {
-            Coding::Bytes => table.corners = leaf.corner_bytes(),
+    unsafe fn of(leaf: &Leaf<'_>, shear: &Shear, steps: usize) -> Table {
+        let corners = match leaf.coding() {
+            Coding::Bytes => leaf.corner_bytes(),
             Coding::Nibbles => {
                 let [a, b, c] = leaf.corner_words();
-                table.corners = [spread(a), spread(b), spread(c)];
+                [spread(a), spread(b), spread(c)]
             }
-        }
-        // SAFETY: only called from the kernel, whose value is proof of the instructions; loads of axis k reach up to
-        // begin + 4 * (k * nv + 8 * steps), k <= 2, which was checked.
+        };
+        // SAFETY: as the caller vouches.
         unsafe {
-            let base = bytes.as_ptr().add(begin);
-            let x: *const f32 = base.add(4 * nv * shear.axes[0].min(2)).cast();
-            let y: *const f32 = base.add(4 * nv * shear.axes[1].min(2)).cast();
-            let z: *const f32 = base.add(4 * nv * shear.axes[2].min(2)).cast();
-            let [ox, oy, oz] = shear.origin();
-            let [sx, sy] = shear.slopes();
-            let mut i = 0;
-            while i < 8 * steps {
-                let depth = _mm256_sub_ps(_mm256_loadu_ps(z.add(i)), _mm256_set1_ps(oz));
-                let wide = _mm256_sub_ps(_mm256_loadu_ps(x.add(i)), _mm256_set1_ps(ox));
-                let high = _mm256_sub_ps(_mm256_loadu_ps(y.add(i)), _mm256_set1_ps(oy));
-                let wide = _mm256_sub_ps(wide, _mm256_mul_ps(_mm256_set1_ps(sx), depth));
-                let high = _mm256_sub_ps(high, _mm256_mul_ps(_mm256_set1_ps(sy), depth));
-                _mm256_storeu_ps(table.sheared[0].as_mut_ptr().add(i), wide);
-                _mm256_storeu_ps(table.sheared[1].as_mut_ptr().add(i), high);
-                i += 8;
+            let base = leaf.bytes().as_ptr().add(leaf.coding().coordinates_at());
+            let stride = 4 * leaf.vertices();
+            let x: *const f32 = base.add(stride * shear.axes[0].min(2)).cast();
+            let y: *const f32 = base.add(stride * shear.axes[1].min(2)).cast();
+            let z: *const f32 = base.add(stride * shear.axes[2].min(2)).cast();
+            let first = sheared(x, y, z, shear);
+            let mut vertices = [first; 4];
+            let mut i = 1;
+            while i < steps.min(4) {
+                vertices[i] = sheared(x.add(8 * i), y.add(8 * i), z.add(8 * i), shear);
+                i += 1;
             }
+            Table { steps, vertices, corners }
         }
-        Some(table)
     }
 
-    /// The sheared x and y of corner k of triangles 8 h to 8 h + 7.
+    /// The sheared corner k of triangles 8 h to 8 h + 7.
     ///
     /// # Safety
     /// AVX2 must be there.
     #[inline(always)]
-    unsafe fn corner(&self, k: usize, h: usize) -> [__m256; 2] {
-        // SAFETY: the caller vouches for the instructions; gathers stay within 32 entries, as corner numbers are masked.
+    unsafe fn corner(&self, k: usize, h: usize) -> [__m256; 3] {
+        // SAFETY: the caller vouches for the instructions; the load is of eight of 16 bytes.
         unsafe {
-            let bytes = _mm_loadl_epi64(self.corners[k].as_ptr().add(8 * (h & 1)).cast());
-            let index = _mm256_and_si256(_mm256_cvtepu8_epi32(bytes), _mm256_set1_epi32(31));
+            let index = _mm256_cvtepu8_epi32(_mm_loadl_epi64(self.corners[k].as_ptr().add(8 * (h & 1)).cast()));
+            let low = pick(self.vertices[0], self.vertices[1], index);
+            if self.steps <= 2 {
+                return low;
+            }
+            let high = pick(self.vertices[2], self.vertices[3], index);
+            let upper = _mm256_castsi256_ps(_mm256_slli_epi32::<27>(index));
             [
-                _mm256_i32gather_ps::<4>(self.sheared[0].as_ptr(), index),
-                _mm256_i32gather_ps::<4>(self.sheared[1].as_ptr(), index),
+                _mm256_blendv_ps(low[0], high[0], upper),
+                _mm256_blendv_ps(low[1], high[1], upper),
+                _mm256_blendv_ps(low[2], high[2], upper),
             ]
         }
     }
@@ -248,8 +465,8 @@ impl Table {
     /// # Safety
     /// AVX2 must be there.
     #[inline(always)]
-    unsafe fn half(&self, h: usize, shear: &Shear) -> Lanes {
-        // SAFETY: as the caller vouches.
+    unsafe fn half(&self, h: usize, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
+        // SAFETY: as the caller vouches; the stores are of eight of 16 floats.
         unsafe {
             let (a, b, c) = (self.corner(0, h), self.corner(1, h), self.corner(2, h));
             let (u, v, w) = (edge(b, c), edge(c, a), edge(a, b));
@@ -262,8 +479,75 @@ impl Table {
             let q = _mm256_min_ps(_mm256_xor_ps(least, sign), most);
             let miss = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(q, bound)) as u32;
             let hit = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(q, _mm256_xor_ps(bound, sign))) as u32;
-            Lanes { accept: hit, doubt: !(miss | hit) & 0xff }
+            let doubt = !(miss | hit) & 0xff;
+            if hit == 0 {
+                return Lanes { accept: 0, doubt };
+            }
+            let sum = _mm256_add_ps(_mm256_add_ps(u, v), w);
+            let share = _mm256_div_ps(_mm256_set1_ps(1.0), sum);
+            let of_a = _mm256_mul_ps(_mm256_mul_ps(u, share), a[2]);
+            let of_b = _mm256_mul_ps(_mm256_mul_ps(v, share), b[2]);
+            let of_c = _mm256_mul_ps(_mm256_mul_ps(w, share), c[2]);
+            let depth = _mm256_add_ps(_mm256_add_ps(of_a, of_b), of_c);
+            let t = _mm256_mul_ps(depth, _mm256_set1_ps(shear.inverse()));
+            let most = _mm256_max_ps(_mm256_max_ps(a[2], b[2]), c[2]);
+            let least = _mm256_min_ps(_mm256_min_ps(a[2], b[2]), c[2]);
+            let [of_shape, of_depth, constant] = shear.depth_bound();
+            let shape = _mm256_mul_ps(_mm256_mul_ps(bound, _mm256_andnot_ps(sign, share)), _mm256_sub_ps(most, least));
+            let shape = _mm256_mul_ps(shape, _mm256_set1_ps(of_shape));
+            let deepest = _mm256_max_ps(_mm256_andnot_ps(sign, most), _mm256_andnot_ps(sign, least));
+            let depth = _mm256_mul_ps(deepest, _mm256_set1_ps(of_depth));
+            let h_bound = _mm256_add_ps(_mm256_add_ps(shape, depth), _mm256_set1_ps(constant));
+            let (lo, hi) = (_mm256_sub_ps(t, h_bound), _mm256_add_ps(t, h_bound));
+            _mm256_storeu_ps(depths.lo.as_mut_ptr().add(8 * (h & 1)), lo);
+            _mm256_storeu_ps(depths.hi.as_mut_ptr().add(8 * (h & 1)), hi);
+            let later = _mm256_cmp_ps::<_CMP_GT_OQ>(lo, _mm256_set1_ps(range[1]));
+            let earlier = _mm256_cmp_ps::<_CMP_LT_OQ>(hi, _mm256_set1_ps(range[0]));
+            let beyond = _mm256_movemask_ps(_mm256_or_ps(later, earlier)) as u32;
+            Lanes { accept: hit & !beyond, doubt }
         }
+    }
+}
+
+/// Eight sheared vertices and their depths.
+///
+/// # Safety
+/// AVX2 must be there, and eight floats at each pointer.
+#[inline(always)]
+unsafe fn sheared(x: *const f32, y: *const f32, z: *const f32, shear: &Shear) -> [__m256; 3] {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        let [ox, oy, oz] = shear.origin();
+        let [sx, sy] = shear.slopes();
+        // Rounded after each step, never fused: the bound of `exact/filter.rs` counts on it.
+        let depth = _mm256_sub_ps(_mm256_loadu_ps(z), _mm256_set1_ps(oz));
+        let wide = _mm256_sub_ps(_mm256_loadu_ps(x), _mm256_set1_ps(ox));
+        let high = _mm256_sub_ps(_mm256_loadu_ps(y), _mm256_set1_ps(oy));
+        [
+            _mm256_sub_ps(wide, _mm256_mul_ps(_mm256_set1_ps(sx), depth)),
+            _mm256_sub_ps(high, _mm256_mul_ps(_mm256_set1_ps(sy), depth)),
+            depth,
+        ]
+    }
+}
+
+/// Entries of a table of sixteen, two registers a coordinate, by the low four bits of each index.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+unsafe fn pick(first: [__m256; 3], second: [__m256; 3], index: __m256i) -> [__m256; 3] {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        let upper = _mm256_castsi256_ps(_mm256_slli_epi32::<28>(index));
+        let mut out = first;
+        let mut k = 0;
+        while k < 3 {
+            let low = _mm256_permutevar8x32_ps(first[k], index);
+            out[k] = _mm256_blendv_ps(low, _mm256_permutevar8x32_ps(second[k], index), upper);
+            k += 1;
+        }
+        out
     }
 }
 
@@ -272,7 +556,7 @@ impl Table {
 /// # Safety
 /// AVX2 must be there.
 #[inline(always)]
-unsafe fn edge([px, py]: [__m256; 2], [qx, qy]: [__m256; 2]) -> __m256 {
+unsafe fn edge([px, py, _]: [__m256; 3], [qx, qy, _]: [__m256; 3]) -> __m256 {
     // SAFETY: as the caller vouches.
     unsafe { _mm256_sub_ps(_mm256_mul_ps(px, qy), _mm256_mul_ps(py, qx)) }
 }
@@ -282,7 +566,7 @@ unsafe fn edge([px, py]: [__m256; 2], [qx, qy]: [__m256; 2]) -> __m256 {
 /// # Safety
 /// AVX2 must be there.
 #[inline(always)]
-unsafe fn magnitude([x, y]: [__m256; 2]) -> __m256 {
+unsafe fn magnitude([x, y, _]: [__m256; 3]) -> __m256 {
     // SAFETY: as the caller vouches.
     unsafe {
         let sign = _mm256_set1_ps(-0.0);

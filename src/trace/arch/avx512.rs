@@ -1,12 +1,13 @@
-//! The inner loops with AVX-512: a leaf's sixteen triangles at once. The node test is that of AVX2, which is as fast.
+//! The inner loops with AVX-512: both ends of a node's eight slots at once, or a leaf's sixteen triangles.
 
 use std::arch::x86_64::*;
 
-use super::{Job, Kernel, Planes, Touched, Way, avx2, scalar};
-use crate::exact::{Lanes, Shear};
+use super::{Aim, Cell, Fit, Job, Kernel, Saved, Way, avx2, scalar};
+use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
+use crate::geometry::Ray;
 
-/// Proof that the processor has AVX-512 (F, BW, DQ, VL) and what [`avx2::Avx2`] stands for.
+/// Proof that the processor has AVX-512 (F, BW, DQ, VL, CD, VBMI: Ice Lake, Zen 4 and later) and what [`avx2::Avx2`] stands for.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Avx512(());
 
@@ -17,7 +18,9 @@ impl Avx512 {
             && is_x86_feature_detected!("avx512f")
             && is_x86_feature_detected!("avx512bw")
             && is_x86_feature_detected!("avx512dq")
-            && is_x86_feature_detected!("avx512vl");
+            && is_x86_feature_detected!("avx512vl")
+            && is_x86_feature_detected!("avx512vbmi")
+            && is_x86_feature_detected!("avx512cd");
         has.then_some(Avx512(()))
     }
 }
@@ -26,53 +29,182 @@ impl Avx512 {
 ///
 /// # Safety
 /// [`Avx512::detect`] must have found the instruction set.
-#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
+#[target_feature(enable = "avx512f,avx512bw,avx512dq,avx512vl,avx512vbmi,avx512cd,avx2,fma,bmi1,bmi2,lzcnt,popcnt")]
 pub(super) unsafe fn run<J: Job>(job: J) -> J::Output {
     job.run(Avx512(()))
 }
 
+/// For each direction mask m (near to far, then far to near, where the order is its complement) and axis the bytes of a node that the
+/// node test takes: in lane i the plane by which slot i XOR order is entered, in lane 8 + i the one by which it is left; only the
+/// first byte of a lane's four counts.
+static ORDER: [[Index; 3]; 16] = {
+    let mut order = [[Index([0; 64]); 3]; 16];
+    let mut m = 0;
+    while m < 16 {
+        let visit = if m < 8 { m } else { (m - 8) ^ 7 };
+        let mut axis = 0;
+        while axis < 3 {
+            // Low planes at 8 * axis, high ones 24 further on; a downward ray enters by the high plane.
+            let down = if m >> (2 - axis) & 1 != 0 { 24 } else { 0 };
+            let mut i = 0;
+            while i < 8 {
+                order[m][axis].0[4 * i] = (8 * axis + down + (i ^ visit)) as u8;
+                order[m][axis].0[4 * (8 + i)] = (8 * axis + 24 - down + (i ^ visit)) as u8;
+                i += 1;
+            }
+            axis += 1;
+        }
+        m += 1;
+    }
+    order
+};
+
+#[derive(Clone, Copy)]
+#[repr(C, align(64))]
+struct Index([u8; 64]);
+
+/// The first byte of each lane.
+const FIRST: u64 = 0x1111_1111_1111_1111;
+
+/// [`super::Planes`] in one register: begin, dt, -end, -dt; so that one axis' sixteen parameters, those of leaving negated, are one
+/// multiplication and addition.
+type Frame = __m512;
+
+/// The lanes of a frame that hold dt and -dt.
+const STEPS: u16 = 0xf0f0;
+
+/// The parameters of one axis, those at which slots are left negated.
+///
+/// # Safety
+/// AVX-512 must be there.
+#[inline(always)]
+unsafe fn axis<const I: i32>(node: __m512i, frame: Frame, way: &Way) -> __m512 {
+    // SAFETY: the caller vouches for the instructions; the index is 64 bytes, aligned.
+    unsafe {
+        let backward = (way.mask ^ way.order) & 1;
+        let order = &ORDER[usize::from(way.mask & 7 | backward << 3)][I as usize];
+        let order = _mm512_load_si512(order.0.as_ptr().cast());
+        let plane = _mm512_cvtepi32_ps(_mm512_maskz_permutexvar_epi8(FIRST, order, node));
+        let begin = _mm512_mask_mov_epi32(_mm512_set1_epi32(I), 0xff00, _mm512_set1_epi32(8 + I));
+        let dt = _mm512_mask_mov_epi32(_mm512_set1_epi32(4 + I), 0xff00, _mm512_set1_epi32(12 + I));
+        _mm512_fmadd_ps(plane, _mm512_permutexvar_ps(dt, frame), _mm512_permutexvar_ps(begin, frame))
+    }
+}
+
 impl Kernel for Avx512 {
+    type Frame = Frame;
+    type Near = __m256;
+
     #[inline(always)]
-    fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched {
+    fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool {
         // SAFETY: `self` is proof.
-        unsafe { avx2::touch(node, planes, way, far) }
+        unsafe { avx2::aim(ray, fit, way, aim) }
     }
 
     #[inline(always)]
-    fn within(self, near: &[f32; 8], far: f32) -> u32 {
-        // SAFETY: `self` is proof.
-        unsafe { avx2::within(near, far) }
+    fn frame(self, cell: &Cell, aim: &Aim, way: &Way) -> Frame {
+        // SAFETY: `self` is proof; the array is four floats.
+        unsafe {
+            let [begin, dt] = avx2::begin(cell, aim);
+            let (end, sign) = (_mm_add_ps(begin, _mm_loadu_ps(way.slack.as_ptr())), _mm256_set1_ps(-0.0));
+            let (enter, leave) = (_mm256_set_m128(dt, begin), _mm256_xor_ps(_mm256_set_m128(dt, end), sign));
+            _mm512_insertf32x8::<1>(_mm512_castps256_ps512(enter), leave)
+        }
     }
 
     #[inline(always)]
-    fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes {
-        // SAFETY: `self` is proof.
-        unsafe { avx2::child(planes, node, slot, way) }
+    fn save(self, saved: &mut Saved, frame: Frame, near: __m256) {
+        // SAFETY: `self` is proof; the arrays are of eight and sixteen floats.
+        unsafe {
+            _mm256_storeu_ps(saved.near.as_mut_ptr(), near);
+            _mm512_storeu_ps(saved.frame.as_mut_ptr(), frame);
+        }
     }
 
     #[inline(always)]
-    fn classify(self, leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+    fn load(self, saved: &Saved) -> (Frame, __m256) {
+        // SAFETY: as for `save`.
+        unsafe { (_mm512_loadu_ps(saved.frame.as_ptr()), _mm256_loadu_ps(saved.near.as_ptr())) }
+    }
+
+    #[inline(always)]
+    fn touch(self, node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
+        // SAFETY: `self` is proof. A node is 64 bytes.
+        unsafe {
+            let node = _mm512_loadu_si512(std::ptr::from_ref(node).cast());
+            let (x, y, z) = (axis::<0>(node, frame, way), axis::<1>(node, frame, way), axis::<2>(node, frame, way));
+            let ends = _mm512_mask_mov_ps(_mm512_set1_ps(way.near), 0xff00, _mm512_set1_ps(-far));
+            // Where an operand is NaN the second is the result: at worst a plane binds nothing, and the ray's own ends always do.
+            let bounds = _mm512_max_ps(_mm512_max_ps(y, z), _mm512_max_ps(x, ends));
+            let near = _mm512_castps512_ps256(bounds);
+            let last = _mm256_xor_ps(_mm512_extractf32x8_ps::<1>(bounds), _mm256_set1_ps(-0.0));
+            (u32::from(_mm256_cmp_ps_mask::<_CMP_LE_OQ>(near, last)), near)
+        }
+    }
+
+    #[inline(always)]
+    fn within(self, near: __m256, far: f32) -> u32 {
+        // SAFETY: `self` is proof.
+        unsafe { u32::from(_mm256_cmp_ps_mask::<_CMP_LE_OQ>(near, _mm256_set1_ps(far))) }
+    }
+
+    #[inline(always)]
+    fn child(self, frame: Frame, node: &Node, slot: usize, way: &Way) -> Frame {
+        // SAFETY: `self` is proof. A node is 64 bytes.
+        unsafe {
+            let bytes = _mm512_loadu_si512(std::ptr::from_ref(node).cast());
+            // Bytes slot, 8 + slot, 16 + slot of the low planes, each in a lane of its own; the high ones are 24 further on.
+            let low = _mm512_broadcast_i32x4(_mm_setr_epi32(0, 8, 16, 0));
+            let low = _mm512_add_epi8(low, _mm512_set1_epi8(slot as i8 & 7));
+            let high = _mm512_add_epi8(low, _mm512_set1_epi8(24));
+            const XYZ: u64 = 0x0111_0111_0111_0111;
+            let low = _mm512_maskz_permutexvar_epi8(XYZ, low, bytes);
+            let high = _mm512_maskz_permutexvar_epi8(XYZ, high, bytes);
+            // dt times 2^(floor(log2(high - low)) - 7), by its exponent: dt is normal, and so is 2^-7 of the smallest. floor(log2(x)) is 31
+            // less the leading zeros.
+            let zeros = _mm512_slli_epi32::<23>(_mm512_lzcnt_epi32(_mm512_sub_epi32(high, low)));
+            let step = _mm512_add_epi32(_mm512_castps_si512(frame), _mm512_set1_epi32(24 << 23));
+            // The larger magnitude: signs agree.
+            let least = _mm512_broadcast_f32x4(_mm_loadu_ps(way.least.as_ptr()));
+            let sign = _mm512_set1_ps(-0.0);
+            let least = _mm512_castps_si512(_mm512_mask_xor_ps(least, 0xff00, least, sign));
+            let step = _mm512_castsi512_ps(_mm512_max_epu32(_mm512_sub_epi32(step, zeros), least));
+            // dt beside begin, -dt beside -end.
+            let dt = _mm512_shuffle_f32x4::<0b11_11_01_01>(frame, frame);
+            let moved = _mm512_fmadd_ps(_mm512_cvtepi32_ps(low), dt, frame);
+            _mm512_mask_mov_ps(moved, STEPS, step)
+        }
+    }
+
+    #[inline(always)]
+    fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
         let registers = leaf.vertices().div_ceil(16);
         let reach = leaf.coding().coordinates_at() + 4 * (2 * leaf.vertices() + 16 * registers);
         if leaf.is_empty() || leaf.bytes().len() < reach {
-            return scalar::classify(leaf, shear);
+            return scalar::classify(leaf, shear, range, depths);
         }
         // SAFETY: `self` is proof; all loads end before `reach`, which lies within the leaf's bytes.
         unsafe {
             match leaf.coding() {
-                Coding::Nibbles => nibbles(leaf, shear),
-                Coding::Bytes => bytes(leaf, shear),
+                Coding::Nibbles => nibbles(leaf, shear, range, depths),
+                Coding::Bytes => bytes(leaf, shear, range, depths),
             }
         }
     }
+
+    #[inline(always)]
+    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+        // SAFETY: `self` is proof.
+        unsafe { avx2::rounded(leaf, lane, ray) }
+    }
 }
 
-/// Sixteen sheared vertices from number `first` on.
+/// Sixteen sheared vertices from number `first` on, and their depths.
 ///
 /// # Safety
 /// AVX-512 must be there, and 64 bytes behind vertex `first` of each axis.
 #[inline(always)]
-unsafe fn sheared(leaf: &Leaf<'_>, shear: &Shear, first: usize) -> [__m512; 2] {
+unsafe fn sheared(leaf: &Leaf<'_>, shear: &Shear, first: usize) -> [__m512; 3] {
     // SAFETY: as the caller vouches.
     unsafe {
         let begin = leaf.bytes().as_ptr().add(leaf.coding().coordinates_at() + 4 * first);
@@ -86,7 +218,7 @@ unsafe fn sheared(leaf: &Leaf<'_>, shear: &Shear, first: usize) -> [__m512; 2] {
         // Rounded after each step, never fused: the bound of `exact/filter.rs` counts on it.
         let wide = _mm512_sub_ps(_mm512_sub_ps(x, _mm512_set1_ps(ox)), _mm512_mul_ps(_mm512_set1_ps(sx), depth));
         let high = _mm512_sub_ps(_mm512_sub_ps(y, _mm512_set1_ps(oy)), _mm512_mul_ps(_mm512_set1_ps(sy), depth));
-        [wide, high]
+        [wide, high, depth]
     }
 }
 
@@ -110,19 +242,14 @@ unsafe fn corner_index(head: __m512i, k: i32) -> __m512i {
 /// # Safety
 /// AVX-512 must be there, and all of the leaf's loads within its bytes.
 #[inline(always)]
-unsafe fn nibbles(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+unsafe fn nibbles(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
     // SAFETY: as the caller vouches.
     unsafe {
-        let [x, y] = sheared(leaf, shear, 0);
+        let table = sheared(leaf, shear, 0);
         let head = _mm512_broadcast_i64x4(_mm256_loadu_si256(leaf.bytes().as_ptr().cast()));
         // The permutation looks at the low four bits of each lane only.
-        let (a, b, c) = (corner_index(head, 0), corner_index(head, 1), corner_index(head, 2));
-        let corners = [
-            [_mm512_permutexvar_ps(a, x), _mm512_permutexvar_ps(a, y)],
-            [_mm512_permutexvar_ps(b, x), _mm512_permutexvar_ps(b, y)],
-            [_mm512_permutexvar_ps(c, x), _mm512_permutexvar_ps(c, y)],
-        ];
-        classify(corners, shear, leaf.len())
+        let index = [corner_index(head, 0), corner_index(head, 1), corner_index(head, 2)];
+        classify::<false>(index, [table, table], shear, leaf.len(), range, depths)
     }
 }
 
@@ -131,21 +258,18 @@ unsafe fn nibbles(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
 /// # Safety
 /// AVX-512 must be there, and all of the leaf's loads within its bytes.
 #[inline(always)]
-unsafe fn bytes(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+unsafe fn bytes(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
     // SAFETY: as the caller vouches; the corner bytes lie at 16..64 of the record.
     unsafe {
-        let [x0, y0] = sheared(leaf, shear, 0);
-        let [x1, y1] = if leaf.vertices() > 16 { sheared(leaf, shear, 16) } else { [x0, y0] };
+        let first = sheared(leaf, shear, 0);
+        let second = if leaf.vertices() > 16 { sheared(leaf, shear, 16) } else { first };
         let numbers = leaf.bytes().as_ptr();
-        let a = _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(16).cast()));
-        let b = _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(32).cast()));
-        let c = _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(48).cast()));
-        let corners = [
-            [_mm512_permutex2var_ps(x0, a, x1), _mm512_permutex2var_ps(y0, a, y1)],
-            [_mm512_permutex2var_ps(x0, b, x1), _mm512_permutex2var_ps(y0, b, y1)],
-            [_mm512_permutex2var_ps(x0, c, x1), _mm512_permutex2var_ps(y0, c, y1)],
+        let index = [
+            _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(16).cast())),
+            _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(32).cast())),
+            _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(48).cast())),
         ];
-        classify(corners, shear, leaf.len())
+        classify::<true>(index, [first, second], shear, leaf.len(), range, depths)
     }
 }
 
@@ -169,14 +293,34 @@ unsafe fn magnitude([x, y]: [__m512; 2]) -> __m512 {
     unsafe { _mm512_max_ps(_mm512_abs_ps(x), _mm512_abs_ps(y)) }
 }
 
+/// Entries of a table of sixteen, or of 32 if `WIDE`.
+///
+/// # Safety
+/// AVX-512 must be there.
+#[inline(always)]
+unsafe fn pick<const WIDE: bool>(first: __m512, second: __m512, at: __m512i) -> __m512 {
+    // SAFETY: as the caller vouches.
+    unsafe { if WIDE { _mm512_permutex2var_ps(first, at, second) } else { _mm512_permutexvar_ps(at, first) } }
+}
+
 /// The filter over sixteen triangles; the same operations in the same order as [`Shear::classify`].
 ///
 /// # Safety
 /// AVX-512 must be there.
 #[inline(always)]
-unsafe fn classify([a, b, c]: [[__m512; 2]; 3], shear: &Shear, count: usize) -> Lanes {
-    // SAFETY: as the caller vouches.
+unsafe fn classify<const WIDE: bool>(
+    [ia, ib, ic]: [__m512i; 3],
+    [[x, y, z], [x1, y1, z1]]: [[__m512; 3]; 2],
+    shear: &Shear,
+    count: usize,
+    range: [f32; 2],
+    depths: &mut Depths,
+) -> Lanes {
+    // SAFETY: as the caller vouches; the stores are of sixteen floats.
     unsafe {
+        let a = [pick::<WIDE>(x, x1, ia), pick::<WIDE>(y, y1, ia)];
+        let b = [pick::<WIDE>(x, x1, ib), pick::<WIDE>(y, y1, ib)];
+        let c = [pick::<WIDE>(x, x1, ic), pick::<WIDE>(y, y1, ic)];
         let (u, v, w) = (edge(b, c), edge(c, a), edge(a, b));
         let m = _mm512_max_ps(_mm512_max_ps(magnitude(a), magnitude(b)), magnitude(c));
         let [linear, constant] = shear.bound();
@@ -185,9 +329,33 @@ unsafe fn classify([a, b, c]: [[__m512; 2]; 3], shear: &Shear, count: usize) -> 
         let least = _mm512_min_ps(_mm512_min_ps(u, v), w);
         let most = _mm512_max_ps(_mm512_max_ps(u, v), w);
         let q = _mm512_min_ps(_mm512_xor_ps(least, sign), most);
-        let miss = u32::from(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(q, bound));
-        let hit = u32::from(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(q, _mm512_xor_ps(bound, sign)));
         let bits = u32::MAX >> (32 - count.clamp(1, 16));
-        Lanes { accept: hit & bits, doubt: !(miss | hit) & bits }
+        let miss = u32::from(_mm512_cmp_ps_mask::<_CMP_GT_OQ>(q, bound));
+        let hit = u32::from(_mm512_cmp_ps_mask::<_CMP_LT_OQ>(q, _mm512_xor_ps(bound, sign))) & bits;
+        let doubt = !(miss | hit) & bits;
+        if hit == 0 {
+            return Lanes { accept: 0, doubt };
+        }
+        let (za, zb, zc) = (pick::<WIDE>(z, z1, ia), pick::<WIDE>(z, z1, ib), pick::<WIDE>(z, z1, ic));
+        let sum = _mm512_add_ps(_mm512_add_ps(u, v), w);
+        let share = _mm512_div_ps(_mm512_set1_ps(1.0), sum);
+        let of_a = _mm512_mul_ps(_mm512_mul_ps(u, share), za);
+        let of_b = _mm512_mul_ps(_mm512_mul_ps(v, share), zb);
+        let of_c = _mm512_mul_ps(_mm512_mul_ps(w, share), zc);
+        let t = _mm512_mul_ps(_mm512_add_ps(_mm512_add_ps(of_a, of_b), of_c), _mm512_set1_ps(shear.inverse()));
+        let most = _mm512_max_ps(_mm512_max_ps(za, zb), zc);
+        let least = _mm512_min_ps(_mm512_min_ps(za, zb), zc);
+        let [of_shape, of_depth, constant] = shear.depth_bound();
+        let shape = _mm512_mul_ps(_mm512_mul_ps(bound, _mm512_abs_ps(share)), _mm512_sub_ps(most, least));
+        let shape = _mm512_mul_ps(shape, _mm512_set1_ps(of_shape));
+        let deepest = _mm512_max_ps(_mm512_abs_ps(most), _mm512_abs_ps(least));
+        let depth = _mm512_mul_ps(deepest, _mm512_set1_ps(of_depth));
+        let h = _mm512_add_ps(_mm512_add_ps(shape, depth), _mm512_set1_ps(constant));
+        let (lo, hi) = (_mm512_sub_ps(t, h), _mm512_add_ps(t, h));
+        _mm512_storeu_ps(depths.lo.as_mut_ptr(), lo);
+        _mm512_storeu_ps(depths.hi.as_mut_ptr(), hi);
+        let later = _mm512_cmp_ps_mask::<_CMP_GT_OQ>(lo, _mm512_set1_ps(range[1]));
+        let earlier = _mm512_cmp_ps_mask::<_CMP_LT_OQ>(hi, _mm512_set1_ps(range[0]));
+        Lanes { accept: hit & !u32::from(later | earlier), doubt }
     }
 }

@@ -17,16 +17,49 @@ mod scalar;
 
 use std::sync::OnceLock;
 
-use crate::exact::{Lanes, Shear};
+use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Leaf, Node};
+use crate::geometry::Ray;
 
-/// The parameters of a node's frame, axes x, y, z and one unused lane: with the slack of the setup taken off and added, plane
-/// q is entered at `begin + q * dt` at the earliest and left at `end + q * dt` at the latest.
-#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
+/// A frame's place in root units; axes x, y, z.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Cell {
+    pub corner: [f32; 3],
+    pub unit: [f32; 3],
+}
+
+/// What all rays of a file share when they are aimed; `setup.rs` explains.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub(super) struct Fit {
+    /// The root's corner.
+    pub corner: [f64; 4],
+    /// 1 / the root's side.
+    pub scale: f64,
+    /// The root's side, if it is moderate; else infinite.
+    pub side: f32,
+    /// eps (L + 8).
+    pub rounding: f32,
+}
+
+/// What turns planes into parameters; `setup.rs` explains. The fourth lanes hold anything.
+#[derive(Clone, Copy, Debug, Default)]
+#[repr(C, align(32))]
+pub(super) struct Aim {
+    /// p'.
+    pub origin: [f64; 4],
+    /// 1 / g, or side / d.
+    pub inv: [f32; 4],
+    /// In parameter units.
+    pub slack: [f32; 4],
+}
+
+/// The parameters of a node's frame, axes x, y, z and one unused lane: with the slack of the setup taken off, plane q is
+/// entered at `begin + q * dt` at the earliest; it is left at that plus [`Way::slack`] at the latest.
+#[derive(Clone, Copy, Debug)]
 #[repr(C, align(16))]
 pub(super) struct Planes {
     pub begin: [f32; 4],
-    pub end: [f32; 4],
     pub dt: [f32; 4],
 }
 
@@ -36,32 +69,58 @@ pub(super) struct Planes {
 pub(super) struct Way {
     /// 2^-32 in parameter units: dt of the smallest frame.
     pub least: [f32; 4],
+    /// Twice the setup's slack.
+    pub slack: [f32; 4],
     /// The direction mask a: bit 2 - i set where axis i is traversed downwards.
     pub mask: u8,
-    /// The parameter at which the ray enters the root.
+    /// Slots are visited as i XOR this: a for near to far, its complement for far to near.
+    pub order: u8,
+    /// The parameter at which the ray begins.
     pub near: f32,
 }
 
-/// The slots of a node that the ray touches, in the order of visits: entry i stands for slot i XOR a.
-#[derive(Clone, Copy, Debug)]
+/// How far a plain ray's origin may be from the root, in root sizes.
+pub(super) const NEAR: f64 = 16.0;
+
+/// The magnitudes that the components of a plain ray's direction may have.
+pub(super) const MODERATE: [f32; 2] = [1.0 / (1u64 << 40) as f32, (1u64 << 40) as f32];
+
+/// A node under way, put aside. Entry i of `near` is a lower bound of the parameter at which slot i XOR a is entered.
+#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 #[repr(C, align(32))]
-pub(super) struct Touched {
-    /// Lower bound of the parameter at which each slot is entered.
-    pub near: [f32; 8],
-    /// A bit an entry; no others.
-    pub slots: u32,
+pub(super) struct Saved {
+    near: [f32; 8],
+    /// As the kernel has it.
+    frame: [f32; 16],
 }
 
 /// The inner loops for one instruction set. A value of the type is proof that the processor has it.
 pub(super) trait Kernel: Copy {
-    /// Which slots the ray touches between `way.near` and `far`. Empty slots are left to the caller.
-    fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched;
-    /// A bit for each of the entries `near` that is not beyond `far`.
-    fn within(self, near: &[f32; 8], far: f32) -> u32;
-    /// The parameters of the frame of the inner child in `slot` (0..8); FORMAT.md, "Frame".
-    fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes;
-    /// The filter's word on each triangle of a leaf.
-    fn classify(self, leaf: &Leaf<'_>, shear: &Shear) -> Lanes;
+    /// [`Planes`] in registers.
+    type Frame: Copy;
+    /// Eight lower bounds, in the order of visits: entry i stands for slot i XOR a.
+    type Near: Copy;
+
+    /// Aims a plain ray: sets all of `aim`, and of `way` what belongs to a direction. False, and nothing of use set, if the ray
+    /// is not plain or hits nothing whatever.
+    fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool;
+    /// The parameters of the root's or a brick's own frame.
+    fn frame(self, cell: &Cell, aim: &Aim, way: &Way) -> Self::Frame;
+    /// Puts a node aside.
+    fn save(self, saved: &mut Saved, frame: Self::Frame, near: Self::Near);
+    /// Takes a node up again.
+    fn load(self, saved: &Saved) -> (Self::Frame, Self::Near);
+    /// Which slots the ray touches between `way.near` and `far`, a bit an entry in the order of visits, and where they are
+    /// entered. Empty slots are left to the caller.
+    fn touch(self, node: &Node, frame: Self::Frame, way: &Way, far: f32) -> (u32, Self::Near);
+    /// A bit for each of the entries that is not beyond `far`.
+    fn within(self, near: Self::Near, far: f32) -> u32;
+    /// The frame of the inner child in `slot` (0..8); FORMAT.md, "Frame".
+    fn child(self, frame: Self::Frame, node: &Node, slot: usize, way: &Way) -> Self::Frame;
+    /// The filter's word on each triangle of a leaf; as [`Shear::classify`].
+    fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes;
+    /// t, u, v of a triangle of a leaf (one that there is) which the ray is known to hit; as [`Line::rounded`](crate::exact::Line::rounded).
+    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]>;
 }
 
 /// Something to be done with whichever kernel is there.

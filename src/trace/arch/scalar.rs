@@ -1,26 +1,74 @@
 //! The portable inner loops.
 
-use super::{Kernel, Planes, Touched, Way};
-use crate::exact::{LANES, Lanes, Shear};
+use super::{Aim, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Saved, Way};
+use crate::exact::{Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Coding, Frame, Leaf, Node};
+use crate::geometry::Ray;
 
 /// Portable code over fixed arrays.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scalar;
 
 impl Kernel for Scalar {
+    type Frame = Planes;
+    type Near = [f32; 8];
+
+    #[inline(always)]
+    fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool {
+        let mut plain = (ray.tmin <= ray.tmax) & fit.side.is_finite();
+        let mut mask = 0;
+        for i in 0..3 {
+            // Scaling by a power of two is exact.
+            let (p, d) = ((f64::from(ray.origin[i]) - fit.corner[i]) * fit.scale, ray.direction[i]);
+            plain &= (p.abs() <= NEAR) & (d.abs() >= MODERATE[0]) & (d.abs() <= MODERATE[1]);
+            let inv = fit.side / d;
+            let slack = inv.abs() * (fit.rounding * (p.abs() as f32 + 3.01));
+            (aim.origin[i], aim.inv[i], aim.slack[i]) = (p, inv, slack);
+            way.slack[i] = 2.0 * slack;
+            way.least[i] = inv * Frame::LEAST_UNIT as f32;
+            mask = mask << 1 | u8::from(d < 0.0);
+        }
+        way.mask = mask;
+        plain
+    }
+
+    #[inline(always)]
+    fn frame(self, cell: &Cell, aim: &Aim, _: &Way) -> Planes {
+        let mut planes = Planes { begin: [0.0; 4], dt: [0.0; 4] };
+        for i in 0..3 {
+            let corner = (f64::from(cell.corner[i]) - aim.origin[i]) as f32;
+            planes.begin[i] = corner * aim.inv[i] - aim.slack[i];
+            planes.dt[i] = cell.unit[i] * aim.inv[i];
+        }
+        planes
+    }
+
+    #[inline(always)]
+    fn save(self, saved: &mut Saved, planes: Planes, near: [f32; 8]) {
+        saved.near = near;
+        saved.frame[..4].copy_from_slice(&planes.begin);
+        saved.frame[4..8].copy_from_slice(&planes.dt);
+    }
+
+    #[inline(always)]
+    fn load(self, saved: &Saved) -> (Planes, [f32; 8]) {
+        let four = |at: usize| std::array::from_fn(|i| saved.frame[at + i]);
+        (Planes { begin: four(0), dt: four(4) }, saved.near)
+    }
+
     /// Maxima and minima are comparisons that keep the bound in place where a value is NaN.
     #[inline(always)]
-    fn touch(self, node: &Node, planes: &Planes, way: &Way, far: f32) -> Touched {
+    fn touch(self, node: &Node, planes: Planes, way: &Way, far: f32) -> (u32, [f32; 8]) {
         let mut near = [way.near; 8];
         let mut last = [far; 8];
         for axis in 0..3 {
             let down = way.mask & (4 >> axis) != 0;
             let (first, second) = if down { (&node.high, &node.low) } else { (&node.low, &node.high) };
             let (first, second) = (&first[axis], &second[axis]);
-            let (dt, begin, end) = (planes.dt[axis], planes.begin[axis], planes.end[axis]);
+            let (dt, begin) = (planes.dt[axis], planes.begin[axis]);
+            let end = begin + way.slack[axis];
             for i in 0..8 {
-                let slot = i ^ usize::from(way.mask & 7);
+                let slot = i ^ usize::from(way.order & 7);
                 let enter = begin + f32::from(first[slot]) * dt;
                 let leave = end + f32::from(second[slot]) * dt;
                 near[i] = if enter > near[i] { enter } else { near[i] };
@@ -31,22 +79,20 @@ impl Kernel for Scalar {
         for i in 0..8 {
             slots |= u32::from(near[i] <= last[i]) << i;
         }
-        Touched { near, slots }
+        (slots, near)
     }
 
     #[inline(always)]
-    fn within(self, near: &[f32; 8], far: f32) -> u32 {
+    fn within(self, near: [f32; 8], far: f32) -> u32 {
         (0..8).fold(0, |bits, i| bits | u32::from(near[i] <= far) << i)
     }
 
     #[inline(always)]
-    fn child(self, planes: &Planes, node: &Node, slot: usize, way: &Way) -> Planes {
-        let mut child = *planes;
+    fn child(self, planes: Planes, node: &Node, slot: usize, way: &Way) -> Planes {
+        let mut child = planes;
         for axis in 0..3 {
             let (low, high) = (node.low[axis][slot & 7], node.high[axis][slot & 7]);
-            let step = f32::from(low) * planes.dt[axis];
-            child.begin[axis] += step;
-            child.end[axis] += step;
+            child.begin[axis] += f32::from(low) * planes.dt[axis];
             // A power of two times dt: exact.
             let dt = planes.dt[axis] * Frame::shrink(low, high) as f32;
             child.dt[axis] = if dt.abs() < way.least[axis].abs() { way.least[axis] } else { dt };
@@ -55,32 +101,43 @@ impl Kernel for Scalar {
     }
 
     #[inline(always)]
-    fn classify(self, leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
-        classify(leaf, shear)
+    fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
+        classify(leaf, shear, range, depths)
+    }
+
+    #[inline(always)]
+    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+        Line::new(ray).rounded(&leaf.triangle(lane))
     }
 }
 
 /// Classifies a leaf's triangles.
 #[inline]
-pub(super) fn classify(leaf: &Leaf<'_>, shear: &Shear) -> Lanes {
+pub(super) fn classify(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
     match leaf.coding() {
-        Coding::Nibbles => classify_over::<16>(leaf, shear, &spread(leaf.corner_words())),
-        Coding::Bytes => classify_over::<32>(leaf, shear, &leaf.corner_bytes()),
+        Coding::Nibbles => classify_over::<16>(leaf, shear, &spread(leaf.corner_words()), range, depths),
+        Coding::Bytes => classify_over::<32>(leaf, shear, &leaf.corner_bytes(), range, depths),
     }
 }
 
 /// The same over a table of N vertices, read in place where the page goes on long enough behind the leaf.
 #[inline]
-fn classify_over<const N: usize>(leaf: &Leaf<'_>, shear: &Shear, corners: &[[u8; LANES]; 3]) -> Lanes {
+fn classify_over<const N: usize>(
+    leaf: &Leaf<'_>,
+    shear: &Shear,
+    corners: &[[u8; LANES]; 3],
+    range: [f32; 2],
+    depths: &mut Depths,
+) -> Lanes {
     match shear.axes.map(|axis| coordinates::<N>(leaf, axis)) {
-        [Some(x), Some(y), Some(z)] => shear.classify([x, y, z], corners, leaf.len()),
+        [Some(x), Some(y), Some(z)] => shear.classify([x, y, z], corners, leaf.len(), range, depths),
         _ => {
             let copies = shear.axes.map(|axis| {
                 let mut copy = [0.0; N];
                 copy.iter_mut().zip(leaf.coordinates(axis)).for_each(|(to, from)| *to = *from);
                 copy
             });
-            shear.classify([&copies[0], &copies[1], &copies[2]], corners, leaf.len())
+            shear.classify([&copies[0], &copies[1], &copies[2]], corners, leaf.len(), range, depths)
         }
     }
 }

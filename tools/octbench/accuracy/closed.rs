@@ -25,11 +25,13 @@ pub struct ClosedReport {
     pub schema: u32,
     /// Triangles of the mesh.
     pub triangles: u64,
-    /// Rays, half of them whole lines, half from inside.
+    /// Edges, all of them between two faces that run along it in opposite directions.
+    pub edges: u64,
+    /// Rays: half of them from inside, a quarter from outside, a quarter whole lines.
     pub rays: u64,
     /// Crossings found.
     pub crossings: u64,
-    /// Lines that cross an odd number of times, and rays from inside that cross an even number.
+    /// Lines and rays from outside that cross an odd number of times, and rays from inside that cross an even number.
     pub wrong_parity: u64,
     /// Rays from inside that meet nothing.
     pub escapes: u64,
@@ -52,15 +54,17 @@ impl ClosedReport {
 /// Rays a task takes.
 const TASK: u64 = 4096;
 
-/// Aims rays at vertices, middles of edges and points of faces. Errors: the mesh is not closed.
+/// Aims rays at vertices, middles and other points of edges, and points of faces. Errors: the mesh is not closed, or no point
+/// inside it was found.
 pub fn run(mesh: &Mesh, name: &Path, rays: u64, seed: u64, monitor: Monitor<'_>) -> Result<ClosedReport> {
-    if !is_closed(mesh) {
-        let what = "not closed: some edge lies on an odd number of faces".to_owned();
-        return Err(Error::Input { file: name.to_owned(), what });
-    }
+    let wrong = |what: String| Error::Input { file: name.to_owned(), what };
+    let edges = edges_of_closed(mesh).map_err(wrong)?;
     monitor.phase("build");
     let tracer = OctreeTracer::new(octree(mesh, &BuildOptions::default())?);
-    let inside = points_inside(mesh, seed);
+    let origins = Origins { ball: mesh.ball(), inside: points_inside(mesh, seed) };
+    if origins.inside.is_empty() {
+        return Err(wrong("no point inside was found".to_owned()));
+    }
     monitor.phase("closed");
     let started = std::time::Instant::now();
     let done = AtomicU64::new(0);
@@ -71,14 +75,14 @@ pub fn run(mesh: &Mesh, name: &Path, rays: u64, seed: u64, monitor: Monitor<'_>)
             let mut maker = maker(mesh, seed ^ (task + 1) << 20);
             let mut report = ClosedReport::default();
             for k in 0..count {
-                one(&tracer, &mut maker, mesh, &inside, k, &mut report)?;
+                one(&tracer, &mut maker, mesh, &origins, k, &mut report)?;
             }
             monitor.progress(done.fetch_add(count, Ordering::Relaxed) + count, Some(rays), "rays");
             monitor.check().map(|()| report)
         })
         .try_reduce(ClosedReport::default, |a, b| Ok(a.add(b)))?;
     let (triangles, seconds) = (mesh.faces.len() as u64, started.elapsed().as_secs_f64());
-    Ok(ClosedReport { schema: 1, triangles, seconds, ..report })
+    Ok(ClosedReport { schema: 1, triangles, edges, seconds, ..report })
 }
 
 fn maker(mesh: &Mesh, seed: u64) -> Maker<'_> {
@@ -93,24 +97,45 @@ fn maker(mesh: &Mesh, seed: u64) -> Maker<'_> {
     }
 }
 
-/// One ray: a whole line or a ray from inside, in turn.
+/// Where rays start.
+struct Origins {
+    /// Centre and radius of a ball around the mesh.
+    ball: ([f64; 3], f64),
+    /// Points inside.
+    inside: Vec<[f32; 3]>,
+}
+
+/// A ray, and whether it starts inside.
+fn aimed(maker: &mut Maker<'_>, mesh: &Mesh, origins: &Origins, k: u64) -> (Ray, bool) {
+    let (center, radius) = origins.ball;
+    let random = &mut maker.random;
+    let mut away = |radii: &[f64]| -> [f32; 3] {
+        let (r, d) = (radius * random.pick(radii), random.direction());
+        std::array::from_fn(|i| (center[i] + r * d[i]) as f32)
+    };
+    let (origin, tmin) = match k % 4 {
+        0 => (away(&[0.2, 0.9, 3.0, 30.0]), f32::NEG_INFINITY),
+        2 => (away(&[1.5, 3.0, 10.0]), 0.0),
+        _ => (random.pick(&origins.inside), 0.0),
+    };
+    loop {
+        let ray = Ray::new(origin, toward(origin, maker.target(mesh))).between(tmin, f32::INFINITY);
+        if ray.is_valid() {
+            return (ray, k % 2 == 1);
+        }
+    }
+}
+
+/// One ray, its crossings counted.
 fn one(
     tracer: &dyn Tracer,
     maker: &mut Maker<'_>,
     mesh: &Mesh,
-    inside: &[[f32; 3]],
+    origins: &Origins,
     k: u64,
     report: &mut ClosedReport,
 ) -> Result<()> {
-    let from_inside = k % 2 == 1 && !inside.is_empty();
-    let origin = if from_inside { maker.random.pick(inside) } else { maker.origin(mesh) };
-    let mut ray = Ray::new(origin, toward(origin, maker.target(mesh)));
-    if !from_inside {
-        ray.tmin = f32::NEG_INFINITY;
-    }
-    if !ray.is_valid() {
-        return Ok(());
-    }
+    let (ray, from_inside) = aimed(maker, mesh, origins, k);
     let mut crossings = 0;
     for hit in all_hits(tracer, &ray, Skip::NONE) {
         hit?;
@@ -123,31 +148,66 @@ fn one(
     Ok(())
 }
 
-/// Whether every edge lies on an even number of faces; vertices at the same place are one.
-fn is_closed(mesh: &Mesh) -> bool {
+/// The number of edges of a closed surface: each lies on two faces, which run along it in opposite directions. Vertices at the same
+/// place are one; faces of which two corners are one are nothing. Else what is wrong.
+fn edges_of_closed(mesh: &Mesh) -> std::result::Result<u64, String> {
     let place = |v: u32| mesh.points[v as usize].map(|x| (x + 0.0).to_bits());
     let mut edges = HashMap::new();
     for f in &mesh.faces {
+        let corners = f.map(place);
+        if (0..3).any(|k| corners[k] == corners[(k + 1) % 3]) {
+            continue;
+        }
         for k in 0..3 {
-            let (a, b) = (place(f[k]), place(f[(k + 1) % 3]));
-            *edges.entry((a.min(b), a.max(b))).or_insert(0u32) += 1;
+            let (a, b) = (corners[k], corners[(k + 1) % 3]);
+            let [along, against] = edges.entry((a.min(b), a.max(b))).or_insert([0u32; 2]);
+            *(if a < b { along } else { against }) += 1;
         }
     }
-    edges.values().all(|n| n % 2 == 0)
+    let count = |wrong: fn(&&[u32; 2]) -> bool| edges.values().filter(wrong).count();
+    let open = count(|[along, against]| along + against == 1);
+    let uneven = count(|[along, against]| along + against != 1 && [along, against] != [&1, &1]);
+    match open + uneven {
+        0 => Ok(edges.len() as u64),
+        _ => Err(format!(
+            "not a closed manifold: of {} edges {open} lie on one face, {uneven} on more than two or on two that disagree",
+            edges.len()
+        )),
+    }
 }
 
-/// Points from which the oracle counts an odd number of crossings, well away from the surface.
+/// Where a point lies with regard to a closed surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// A ray from it crosses the surface an odd number of times.
+    Inside,
+    /// On the surface, exactly.
+    OnSurface,
+    /// An even number of times.
+    Outside,
+}
+
+/// Where the oracle finds a point: by the crossings of a line through it in a random direction.
+pub fn place(oracle: &Oracle, point: [f32; 3], random: &mut Random) -> Place {
+    let line = OracleRay { tmin: f32::NEG_INFINITY, ..ray(point, random.direction().map(|x| x as f32)) };
+    let all = oracle.all(&line, &[], &mut TierCounts::default());
+    if all.iter().any(|a| a.t == 0.0) {
+        Place::OnSurface
+    } else if all.iter().filter(|a| a.t > 0.0).count() % 2 == 1 {
+        Place::Inside
+    } else {
+        Place::Outside
+    }
+}
+
+/// Points that the oracle finds inside.
 fn points_inside(mesh: &Mesh, seed: u64) -> Vec<[f32; 3]> {
     let oracle = Oracle::new(mesh.triangles().enumerate().map(|(i, c)| (i as u32, c)));
     let (low, high) = mesh.bounds();
     let mut random = Random::new(seed);
     let mut inside = |_: usize| {
         let p = [0, 1, 2].map(|i| (low[i] + (high[i] - low[i]) * random.unit()) as f32);
-        let d = random.direction().map(|x| x as f32);
-        let all = oracle.all(&OracleRay { tmin: f32::MIN, ..ray(p, d) }, &[], &mut TierCounts::default());
-        let ahead = all.iter().filter(|a| a.t > 0.0).count();
-        let clear = all.iter().all(|a| f64::from(a.t.abs()) > 1e-3 * (high[0] - low[0]));
-        (ahead % 2 == 1 && clear).then_some(p)
+        (place(&oracle, p, &mut random) == Place::Inside).then_some(p)
     };
-    (0..1000).filter_map(&mut inside).take(64).collect()
+    (0..20_000).filter_map(&mut inside).take(1024).collect()
 }

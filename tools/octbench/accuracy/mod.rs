@@ -211,7 +211,7 @@ fn run_round(plan: &Plan, family: &Family, round: &Round, monitor: Monitor<'_>) 
     Ok(report)
 }
 
-/// Keeps a case that disagrees, with the rays of one round.
+/// Keeps a case that disagrees: the rays that do, and as few triangles as show it.
 fn keep(
     plan: &Plan,
     family: &Family,
@@ -221,9 +221,8 @@ fn keep(
     report: &FamilyReport,
 ) -> Result<()> {
     let Some(folder) = plan.keep.as_deref().filter(|_| report.disagreements() > 0) else { return Ok(()) };
-    // One file a round: every ray of it, since which of them disagree shows when it is replayed.
     let title = format!("family {} ({}), round {round}, seed {}", family.number, family.name, plan.seed);
     let path: &Path = &folder.join(format!("family_{}_round_{round}_seed_{}.txt", family.number, plan.seed));
-    let text = replay::to_text(&title, case, &case.probes, options);
+    let text = replay::to_text(&title, &replay::reduced(case, options)?, options);
     std::fs::write(path, text).map_err(Error::io(path, "write"))
 }

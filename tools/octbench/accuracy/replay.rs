@@ -9,6 +9,7 @@
 //! closed                         crossings are even in number
 //! ```
 
+use std::collections::HashMap;
 use std::path::Path;
 
 use octrace::build::BuildOptions;
@@ -18,6 +19,7 @@ use octrace::{Error, Result};
 
 use super::judge;
 use super::report::FamilyReport;
+use crate::families::mesh::Mesh;
 use crate::families::{Ask, Case, Probe};
 use crate::oracle::OracleRay;
 
@@ -41,8 +43,73 @@ pub fn probe_line(probe: &Probe) -> String {
     words.join(" ")
 }
 
+/// Rays kept of a case that disagrees, at most.
+const MOST_RAYS: usize = 16;
+
+/// Files built to make a case smaller, at most.
+const MOST_TRIALS: usize = 300;
+
+/// The case with the rays that disagree only (the first few of them) and with as few triangles as still show a disagreement: ever
+/// smaller runs of faces are left out while it lasts (Zeller and Hildebrandt 2002). A case that agrees comes back whole.
+pub fn reduced(case: &Case, options: &[BuildOptions]) -> Result<Case> {
+    let bench = judge::Bench::new(&case.mesh, options)?;
+    let mut wrong = Vec::new();
+    for probe in &case.probes {
+        if wrong.len() < MOST_RAYS && bench.judge(std::slice::from_ref(probe), case.closed)?.disagreements() > 0 {
+            wrong.push(*probe);
+        }
+    }
+    if wrong.is_empty() {
+        return Ok(case.clone());
+    }
+    let mut best = Case { probes: wrong, ..case.clone() };
+    let (mut run, mut trials) = (best.mesh.faces.len() / 2, 0);
+    while run > 0 && trials < MOST_TRIALS {
+        let mut from = 0;
+        while from < best.mesh.faces.len() && trials < MOST_TRIALS {
+            let fewer = without(&best, from..(from + run).min(best.mesh.faces.len()));
+            trials += 1;
+            // Without some of its faces a closed mesh is none; the disagreement must show by itself then.
+            if !fewer.mesh.faces.is_empty() && judge::run_case(&fewer, options, Monitor::silent())?.disagreements() > 0
+            {
+                best = fewer;
+            } else {
+                from += run;
+            }
+        }
+        run /= 2;
+    }
+    // The smaller mesh may have brought other rays to agree.
+    let bench = judge::Bench::new(&best.mesh, options)?;
+    let all = std::mem::take(&mut best.probes);
+    for probe in all {
+        if bench.judge(std::slice::from_ref(&probe), best.closed)?.disagreements() > 0 {
+            best.probes.push(probe);
+        }
+    }
+    Ok(best)
+}
+
+/// The case without some faces, and without the vertices that only they used.
+fn without(case: &Case, faces: std::ops::Range<usize>) -> Case {
+    let mut fewer = Case { closed: false, mesh: Mesh::default(), ..case.clone() };
+    let kept: Vec<usize> = (0..case.mesh.faces.len()).filter(|k| !faces.contains(k)).collect();
+    let (points, mut numbers) = (&mut fewer.mesh.points, HashMap::new());
+    let mut renumbered = |v: u32| {
+        *numbers.entry(v).or_insert_with(|| {
+            points.push(case.mesh.points[v as usize]);
+            points.len() as u32 - 1
+        })
+    };
+    fewer.mesh.faces = kept.iter().map(|&k| case.mesh.faces[k].map(&mut renumbered)).collect();
+    for skip in fewer.probes.iter_mut().flat_map(|probe| &mut probe.skip) {
+        *skip = kept.binary_search(&(*skip as usize)).map_or(u32::MAX, |k| k as u32);
+    }
+    fewer
+}
+
 /// A case as text.
-pub fn to_text(title: &str, case: &Case, probes: &[Probe], options: &[BuildOptions]) -> String {
+pub fn to_text(title: &str, case: &Case, options: &[BuildOptions]) -> String {
     let mut text = format!("# {title}\n");
     for o in options {
         let split = SPLITS.iter().find(|s| s.1 == o.split).map_or("sah", |s| s.0);
@@ -53,7 +120,7 @@ pub fn to_text(title: &str, case: &Case, probes: &[Probe], options: &[BuildOptio
         text += &format!("v {:08x} {:08x} {:08x}\n", p[0].to_bits(), p[1].to_bits(), p[2].to_bits());
     }
     case.mesh.faces.iter().for_each(|f| text += &format!("f {} {} {}\n", f[0], f[1], f[2]));
-    probes.iter().for_each(|p| text += &format!("ray {}\n", probe_line(p)));
+    case.probes.iter().for_each(|p| text += &format!("ray {}\n", probe_line(p)));
     text + if case.closed { "closed\n" } else { "" }
 }
 
@@ -129,5 +196,50 @@ impl Replay {
         }
         let report = judge::run_case(&self.case, &self.builds, Monitor::silent())?;
         Ok(FamilyReport { name: name.to_owned(), ..report })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::families::ray;
+
+    /// Two triangles one behind the other, said to be closed. A ray that meets one of them disagrees with that; one that meets both
+    /// or none does not.
+    fn case() -> Case {
+        let at = |z: f32, x: f32| [[x, 0.0, z], [x + 4.0, 0.0, z], [x, 4.0, z]];
+        let mesh = Mesh::soup([at(0.0, 0.0), at(1.0, 2.0)]);
+        let down = |x: f32, y: f32| Probe::all(ray([x, y, 5.0], [0.0, 0.0, -1.0]));
+        let probes = vec![down(9.0, 9.0), down(0.5, 0.5), down(2.25, 0.5), down(5.5, 0.25)];
+        Case { mesh, probes, closed: true, ..Case::default() }
+    }
+
+    #[test]
+    fn only_rays_that_disagree_are_kept_and_come_back() {
+        let (case, options) = (case(), [BuildOptions { brick: Some(7), ..BuildOptions::default() }]);
+        let kept = reduced(&case, &options).unwrap();
+        let kept_rays: Vec<String> = kept.probes.iter().map(probe_line).collect();
+        assert_eq!(kept_rays, [1, 3].map(|k| probe_line(&case.probes[k])));
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("case.txt");
+        std::fs::write(&path, to_text("a title", &kept, &options)).unwrap();
+        let again = read(&path).unwrap();
+        assert_eq!(again.builds, options);
+        assert_eq!((&again.case.mesh.points, &again.case.mesh.faces), (&kept.mesh.points, &kept.mesh.faces));
+        assert_eq!(again.case.probes.iter().map(probe_line).collect::<Vec<_>>(), kept_rays);
+        let modes = octrace::trace::Isa::available().len() as u64 + 1;
+        assert_eq!(again.run("again").unwrap().disagreements(), 2 * modes);
+    }
+
+    #[test]
+    fn without_a_face_the_others_keep_their_places() {
+        let mut case = case();
+        case.probes[0].skip = [0, 1];
+        let fewer = without(&case, 0..1);
+        assert_eq!(fewer.mesh.faces.len(), 1);
+        assert_eq!(fewer.mesh.corners(0), case.mesh.corners(1));
+        assert_eq!(fewer.mesh.points.len(), 3);
+        assert_eq!(fewer.probes[0].skip, [u32::MAX, 0]);
+        assert_eq!(fewer.probes[1].skip, [u32::MAX; 2]);
     }
 }

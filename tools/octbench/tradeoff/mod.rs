@@ -1,42 +1,60 @@
 //! `octbench tradeoff`: speed against error, this tracer and others on the same rays.
 //!
-//! Rays are aimed at vertices, edges and faces of one mesh. All tracers run on one thread, one ray at a time; errors are counted
-//! against the oracle. Writes a table, JSON, and a plot as SVG.
+//! On each mesh two sets of rays are traced, one aimed at edges and vertices and one of a camera: by the library, by naive tracers
+//! ([`crate::yardstick`]), and by other programs. Every answer is held to the oracle's; speeds are taken on one thread, in turn. Gives a
+//! table, JSON, and a plot as SVG and PNG.
 
+mod contender;
+mod drawing;
 mod plot;
+mod rays;
+mod report;
+mod tally;
 
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 use std::sync::Arc;
-use std::time::Instant;
 
 use octrace::build::BuildOptions;
-use octrace::geometry::{FaceId, Hit, Ray, Skip};
-use octrace::trace::{Isa, OctreeTracer, Tracer};
-use octrace::{Error, Result};
-use serde::Serialize;
+use octrace::geometry::{Hit, Ray};
+use octrace::map::Octree;
+use octrace::trace::OctreeTracer;
+use octrace::{Error, Monitor, Result};
+use rayon::ThreadPool;
+use rayon::prelude::*;
 
-use crate::accuracy::judge::ulps;
-use crate::bench::{load, octree};
-use crate::cli::Session;
-use crate::cli::args::StatsFile;
-use crate::cli::output::{print, write_whole};
+use crate::bench::{load, octree, records};
+use crate::cli::args::{StatsFile, is_stdio};
+use crate::cli::output::{Whole, print, write_whole};
+use crate::cli::{CHECK_FAILED, Session};
 use crate::families::mesh::Mesh;
-use crate::families::{Maker, toward};
-use crate::oracle::{Answer, Oracle, OracleRay, TierCounts};
+use crate::machine::Machine;
+use crate::oracle::{Answer, Corners, Oracle, TierCounts};
 use crate::planet;
-use crate::random::Random;
-use crate::yardstick::{self, PlainOctree};
+use crate::speed::kernels::{self, KERNELS, Kernel};
+use crate::speed::peer::Peer;
+use crate::timing::{Clock, mrays};
+use crate::yardstick::PlainOctree;
+use contender::{Contender, Rays};
+use report::{MeshNote, Report, Row};
+use tally::{Tally, oracle_ray};
 
 /// What the subcommand takes.
 #[derive(clap::Args)]
 pub struct Options {
-    /// The mesh [default: a planet of 100,000 triangles]
-    #[arg(long, value_name = "FILE.obj")]
-    model: Option<PathBuf>,
-    /// Aimed rays to trace
+    /// A mesh; may be repeated
+    #[arg(long = "model", value_name = "FILE.obj")]
+    models: Vec<PathBuf>,
+    /// A planet of about so many triangles [default: 100,000 where no mesh is given]
+    #[arg(long, value_name = "N", value_parser = crate::count)]
+    planet: Option<u64>,
+    /// Rays in each set: aimed at edges and vertices, and of a camera
     #[arg(long, value_name = "N", default_value = "100000", value_parser = crate::count)]
     rays: u64,
-    /// Trace these rays (32 bytes each) instead
+    /// Most rays of a set that the test of every triangle is given, evenly spread: it is slow
+    #[arg(long, value_name = "N", default_value = "10000", value_parser = crate::count)]
+    every_triangle: u64,
+    /// Trace the rays of this file (32 bytes each) instead
     #[arg(long, value_name = "FILE")]
     rays_file: Option<PathBuf>,
     /// Hits of another tracer for the rays of --rays-file (16 bytes each)
@@ -45,9 +63,25 @@ pub struct Options {
     /// Speed of that tracer in Mrays/s, as it was measured beside these
     #[arg(long, value_name = "X", requires = "peer")]
     peer_mrays: Option<f64>,
-    /// Write the plot here
-    #[arg(short, long, value_name = "FILE.svg")]
+    /// A command that runs another tracer on the same rays, with {mesh} where the OBJ file's name belongs, as tests/peers/README.md
+    /// tells; may be repeated
+    #[arg(long = "peer-command", value_name = "CMD")]
+    peers: Vec<String>,
+    /// Kernels of the library to compare [default: the one for single rays, and the one that does the same with rounding]
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = kernels::named)]
+    kernels: Vec<&'static Kernel>,
+    /// Rounds that are timed
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100_000))]
+    rounds: u32,
+    /// What to read: the time that passed, or the processor's time, on a machine that others work on
+    #[arg(long, value_enum, default_value = "wall")]
+    clock: Clock,
+    /// Write the plot to NAME.svg and NAME.png
+    #[arg(short, long, value_name = "NAME")]
     output: Option<PathBuf>,
+    /// Print Markdown instead of a table
+    #[arg(long)]
+    markdown: bool,
     /// Seed of planet and rays
     #[arg(long, value_name = "N", default_value_t = 1)]
     seed: u64,
@@ -55,178 +89,194 @@ pub struct Options {
     stats: StatsFile,
 }
 
-/// One tracer: its speed and its errors.
-#[derive(Debug, Serialize)]
-pub struct Row {
-    tracer: String,
-    rays: u64,
-    missed: u64,
-    #[serde(rename = "false")]
-    false_hits: u64,
-    wrong_triangle: u64,
-    /// Right triangle, but t is not the correctly rounded one.
-    wrong_t: u64,
-    /// Missed, false and wrong, as a share of the rays.
-    error_rate: f64,
-    mrays_per_second: Option<f64>,
+/// A mesh with everything that answers rays on it.
+struct Subject {
+    name: String,
+    mesh: Mesh,
+    /// As OBJ, for peers.
+    obj: PathBuf,
+    octree: Arc<Octree>,
+    corners: Vec<Corners>,
+    plain: PlainOctree,
+    oracle: Oracle,
 }
 
-#[derive(Serialize)]
-struct Report<'a> {
-    schema: u32,
-    triangles: u64,
-    tracers: &'a [Row],
-}
-
-/// Rays that the test of all triangles is given: it is slow.
-const FEW: usize = 500;
-
-/// Runs the comparison.
-pub fn run(options: &Options, session: &Session<'_>) -> Result<()> {
+/// Runs the comparison. Exit code 1: a tracer that claims to be exact is not.
+pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
     let monitor = session.monitor();
-    let mesh = match &options.model {
-        Some(path) => load(path, monitor)?,
-        None => planet::mesh(100_000, options.seed),
+    let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir(), "create"))?;
+    let one = rayon::ThreadPoolBuilder::new()
+        .num_threads(1)
+        .build()
+        .map_err(|e| Error::Option(format!("cannot start a thread: {e}")))?;
+    let mut report = Report {
+        schema: crate::cli::stats::SCHEMA,
+        machine: Machine::here(),
+        rounds: options.rounds,
+        clock: options.clock,
+        meshes: vec![],
+        rows: vec![],
+        summary: vec![],
     };
-    let rays = match &options.rays_file {
-        Some(path) => records::<Ray>(path)?,
-        None => aimed(&mesh, options.rays, options.seed),
-    };
-    monitor.phase("oracle");
-    let oracle = Oracle::new(mesh.triangles().enumerate().map(|(i, c)| (i as u32, c)));
-    let oracle_ray = |r: &Ray| OracleRay { o: r.origin, d: r.direction, tmin: r.tmin, tmax: r.tmax };
-    let mut counts = TierCounts::default();
-    let truths: Vec<_> = rays.iter().map(|r| oracle.closest(&oracle_ray(r), &[], &mut counts)).collect();
-    let mut rows = tracers(&mesh, &rays, &truths, session)?;
-    if let Some(path) = &options.peer {
-        let hits = records::<Hit>(path)?;
-        if hits.len() != rays.len() {
-            let what = format!("{} hits for {} rays", hits.len(), rays.len());
-            return Err(Error::Input { file: path.clone(), what });
-        }
-        rows.push(row("peer", &truths, &hits, options.peer_mrays));
-    }
-    show(&rows, options)?;
-    let triangles = mesh.faces.len() as u64;
-    options.stats.write(&Report { schema: crate::cli::stats::SCHEMA, triangles, tracers: &rows })?;
-    match &options.output {
-        Some(path) => write_whole(path, plot::svg(&rows).as_bytes()),
-        None => Ok(()),
-    }
-}
-
-/// Our own tracers and the naive ones.
-fn tracers(mesh: &Mesh, rays: &[Ray], truths: &[Option<Answer>], session: &Session<'_>) -> Result<Vec<Row>> {
-    session.monitor().phase("trace");
-    let file = octree(mesh, &BuildOptions::default())?;
-    let mut rows = Vec::new();
-    for isa in Isa::available() {
-        let tracer = OctreeTracer::new(Arc::clone(&file)).with_isa(isa);
-        let found = |r: &Ray| Ok(tracer.closest(r, Skip::NONE)?.map_or(Hit::MISS, |f| f.hit));
-        rows.push(timed(&format!("octrace, exact, {}", isa.name()), rays, truths, found)?);
-    }
-    let corners: Vec<_> = mesh.triangles().collect();
-    let few = rays.len().min(FEW);
-    let all = |r: &Ray| Ok(plain(yardstick::closest_of_all(&corners, r.origin, r.direction, r.tmin, r.tmax)));
-    rows.push(timed("f32, every triangle", &rays[..few], &truths[..few], all)?);
-    let tree = PlainOctree::new(corners.clone());
-    let walk = |r: &Ray| Ok(plain(tree.closest(r.origin, r.direction, r.tmin, r.tmax)));
-    rows.push(timed("f32, plain octree", rays, truths, walk)?);
-    Ok(rows)
-}
-
-fn plain(hit: Option<yardstick::PlainHit>) -> Hit {
-    hit.map_or(Hit::MISS, |h| Hit { t: h.t, face: FaceId(h.face), u: h.u, v: h.v })
-}
-
-/// Traces all rays twice, and takes the time of the second pass.
-fn timed(name: &str, rays: &[Ray], truths: &[Option<Answer>], found: impl Fn(&Ray) -> Result<Hit>) -> Result<Row> {
-    let trace = || rays.iter().map(&found).collect::<Result<Vec<Hit>>>();
-    trace()?;
-    let started = Instant::now();
-    let hits = trace()?;
-    let speed = rays.len() as f64 / 1e6 / started.elapsed().as_secs_f64().max(1e-9);
-    Ok(row(name, truths, &hits, Some(speed)))
-}
-
-/// Counts the errors of one tracer.
-fn row(name: &str, truths: &[Option<Answer>], hits: &[Hit], mrays_per_second: Option<f64>) -> Row {
-    let mut row = Row {
-        tracer: name.to_owned(),
-        rays: hits.len() as u64,
-        missed: 0,
-        false_hits: 0,
-        wrong_triangle: 0,
-        wrong_t: 0,
-        error_rate: 0.0,
-        mrays_per_second,
-    };
-    for (truth, hit) in truths.iter().zip(hits) {
-        match (truth, hit.face != FaceId::NONE) {
-            (None, false) => {}
-            (None, true) => row.false_hits += 1,
-            (Some(_), false) => row.missed += 1,
-            (Some(t), true) if t.face != hit.face.0 => row.wrong_triangle += 1,
-            (Some(t), true) => row.wrong_t += u64::from(ulps(t.t, hit.t) > 0),
+    let bench = Bench { options, one: &one, folder: folder.path(), monitor };
+    for (mesh, obj) in meshes(options, folder.path(), session)? {
+        let subject = Subject::new(mesh, obj)?;
+        report.meshes.push(MeshNote { mesh: subject.name.clone(), triangles: subject.mesh.faces.len() as u64 });
+        let command = |text: &String| text.replace("{mesh}", &quoted(&subject.obj));
+        let mut peers = options.peers.iter().map(|text| Peer::start(&command(text))).collect::<Result<Vec<_>>>()?;
+        for (name, rays) in sets(options, &subject.mesh)? {
+            monitor.phase("compare");
+            monitor.check()?;
+            report.rows.extend(compare(&bench, &subject, &name, &rays, &mut peers)?);
         }
     }
-    row.error_rate = (row.missed + row.false_hits + row.wrong_triangle) as f64 / row.rays.max(1) as f64;
-    row
-}
-
-/// Rays from around the mesh at its vertices, edges and faces.
-fn aimed(mesh: &Mesh, rays: u64, seed: u64) -> Vec<Ray> {
-    let random = Random::new(seed);
-    let mut maker = Maker { random, rays: 0, size: mesh.faces.len(), round: 0, model: Some(mesh), ball: None, turn: 0 };
-    (0..rays)
-        .map(|_| {
-            let o = maker.origin(mesh);
-            Ray::new(o, toward(o, maker.target(mesh)))
-        })
-        .collect()
-}
-
-/// A file of fixed records.
-fn records<T: bytemuck::Pod>(path: &Path) -> Result<Vec<T>> {
-    let bytes = std::fs::read(path).map_err(Error::io(path, "open"))?;
-    if bytes.len() % size_of::<T>() != 0 {
-        let what = format!("{} bytes are no whole number of records of {}", bytes.len(), size_of::<T>());
-        return Err(Error::Input { file: path.to_owned(), what });
+    report.sum_up();
+    session.finish();
+    if !options.stats.stats.as_deref().is_some_and(is_stdio) {
+        print(&if options.markdown { report.markdown() } else { report.table() })?;
     }
-    let mut list = vec![T::zeroed(); bytes.len() / size_of::<T>()];
-    bytemuck::cast_slice_mut(&mut list).copy_from_slice(&bytes);
+    options.stats.write(&report)?;
+    if let Some(name) = &options.output {
+        let plot = plot::draw(&report.rows, &report.machine.to_string());
+        write_whole(&name.with_extension("svg"), plot.svg().as_bytes())?;
+        write_whole(&name.with_extension("png"), &plot.png()?)?;
+    }
+    let broken = report.broken();
+    if !broken.is_empty() {
+        session.say(format!("not exact: {}", broken.join("; ")));
+        return Ok(ExitCode::from(CHECK_FAILED));
+    }
+    Ok(ExitCode::SUCCESS)
+}
+
+/// The meshes with their OBJ files; a planet's is written for the peers.
+fn meshes(options: &Options, folder: &Path, session: &Session<'_>) -> Result<Vec<(Mesh, PathBuf)>> {
+    let monitor = session.monitor();
+    monitor.phase("meshes");
+    let mut list = Vec::new();
+    for path in &options.models {
+        list.push((load(path, monitor)?, path.clone()));
+    }
+    let planet = options.planet.or(list.is_empty().then_some(100_000));
+    if let Some(triangles) = planet {
+        let path = folder.join("planet.obj");
+        let mut out = Whole::create(&path)?;
+        planet::Planet::new(triangles, options.seed).write(&mut out, None, monitor)?;
+        out.commit()?;
+        list.push((planet::mesh(triangles, options.seed), path));
+    }
+    if options.rays_file.is_some() && list.len() != 1 {
+        return Err(Error::Option("--rays-file goes with one mesh".to_owned()));
+    }
     Ok(list)
 }
 
-fn show(rows: &[Row], options: &Options) -> Result<()> {
-    if options.stats.stats.as_deref().is_some_and(crate::cli::args::is_stdio) {
-        return Ok(());
+/// The sets of rays for a mesh.
+fn sets(options: &Options, mesh: &Mesh) -> Result<Vec<(String, Vec<Ray>)>> {
+    if let Some(path) = &options.rays_file {
+        let rays = records::<Ray>(path)?;
+        if rays.is_empty() {
+            return Err(Error::Input { file: path.clone(), what: "no rays in it".to_owned() });
+        }
+        return Ok(vec![(path.file_stem().unwrap_or_default().to_string_lossy().into_owned(), rays)]);
     }
-    let mut text = format!(
-        "{:26} {:>9} {:>8} {:>8} {:>8} {:>8} {:>10} {:>8}\n",
-        "tracer", "rays", "missed", "false", "triangle", "t", "error rate", "Mrays/s"
-    );
-    for r in rows {
-        let speed = r.mrays_per_second.map_or("-".to_owned(), |x| format!("{x:.3}"));
-        let rate =
-            if r.error_rate == 0.0 { format!("<{:.1e}", 3.0 / r.rays as f64) } else { format!("{:.1e}", r.error_rate) };
-        text += &format!(
-            "{:26} {:9} {:8} {:8} {:8} {:8} {rate:>10} {speed:>8}\n",
-            r.tracer, r.rays, r.missed, r.false_hits, r.wrong_triangle, r.wrong_t
-        );
-    }
-    print(&text)
+    let aimed = rays::aimed(mesh, options.rays, options.seed);
+    Ok(vec![("aimed".to_owned(), aimed), ("camera".to_owned(), rays::camera(mesh, options.rays))])
 }
 
-impl Row {
-    /// Name, speed if known, error rate or the bound on it.
-    fn point(&self) -> Option<(&str, f64, f64)> {
-        let error = if self.error_rate == 0.0 { 3.0 / self.rays.max(1) as f64 } else { self.error_rate };
-        Some((&self.tracer, self.mrays_per_second?, error))
+impl Subject {
+    fn new(mesh: Mesh, obj: PathBuf) -> Result<Subject> {
+        let corners: Vec<Corners> = mesh.triangles().collect();
+        Ok(Subject {
+            name: obj.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
+            obj: obj.canonicalize().map_err(Error::io(&obj, "open"))?,
+            octree: octree(&mesh, &BuildOptions::default())?,
+            plain: PlainOctree::new(corners.clone()),
+            oracle: Oracle::new((0..).zip(corners.iter().copied())),
+            corners,
+            mesh,
+        })
     }
+}
 
-    /// Whether nothing was found wrong.
-    fn is_clean(&self) -> bool {
-        self.error_rate == 0.0
+/// What all comparisons share.
+struct Bench<'a> {
+    options: &'a Options,
+    /// A pool of one thread.
+    one: &'a ThreadPool,
+    /// For files of rays and hits.
+    folder: &'a Path,
+    monitor: Monitor<'a>,
+}
+
+/// All tracers on one set of rays.
+fn compare(bench: &Bench<'_>, subject: &Subject, set: &str, rays: &[Ray], peers: &mut [Peer]) -> Result<Vec<Row>> {
+    let Bench { options, one, folder, monitor } = *bench;
+    // A name of its own: peers keep the rays of the last file.
+    let file = folder.join(format!("{set}.rays"));
+    write_whole(&file, bytemuck::cast_slice(rays))?;
+    let truth = |ray: &Ray| subject.oracle.closest(&oracle_ray(ray), &[], &mut TierCounts::default());
+    let truths: Vec<Option<Answer>> = rays.par_iter().map(truth).collect();
+    let set = format!("{}, {set}", subject.name);
+    let rays = Rays { rays, file: &file };
+    let row = |tracer: String, exact: bool, mrays_per_second: Option<f64>, step: usize, hits: &[Hit]| {
+        let asked = rays.rays.iter().zip(&truths).step_by(step);
+        let tally = Tally::new(&subject.mesh, asked, hits);
+        Row { set: set.clone(), tracer, exact, mrays_per_second, error_rate: tally.error_rate(), tally }
+    };
+    let wanted = if options.rays_file.is_some() { rays.rays.len() as u64 } else { options.rays };
+    let step = wanted.div_ceil(options.every_triangle) as usize;
+    let mut contenders: Vec<Contender<'_>> = chosen(options)
+        .map(|kernel| Contender::Library(kernel, OctreeTracer::new(&*subject.octree)))
+        .chain([Contender::Octree(&subject.plain), Contender::Every(&subject.corners, step)])
+        .chain(peers.iter_mut().map(Contender::Peer))
+        .collect();
+    let mut hits = Vec::new();
+    for contender in &mut contenders {
+        monitor.check()?;
+        let found = contender.hits(&rays, &folder.join("tradeoff.hits"))?;
+        hits.push(as_many(found, rays.rays.len().div_ceil(contender.step()), Path::new(&contender.name()))?);
     }
+    let mut seconds = vec![vec![]; contenders.len()];
+    for _ in 0..options.rounds {
+        for (contender, seconds) in contenders.iter_mut().zip(&mut seconds) {
+            seconds.push(contender.time(&rays, options.clock, one)?);
+            monitor.check()?;
+        }
+    }
+    let count = rays.rays.len() as u64;
+    let mut rows: Vec<Row> = contenders
+        .iter()
+        .zip(seconds.iter().zip(&hits))
+        .map(|(c, (seconds, hits))| row(c.name(), c.is_exact(), Some(mrays(count, seconds)), c.step(), hits))
+        .collect();
+    if let Some(path) = &options.peer {
+        let found = as_many(records(path)?, rays.rays.len(), path)?;
+        rows.push(row("peer".to_owned(), false, options.peer_mrays, 1, &found));
+    }
+    Ok(rows)
+}
+
+/// The kernels to compare.
+fn chosen(options: &Options) -> impl Iterator<Item = &'static Kernel> {
+    let is_single = |k: &Kernel| k.name == "single" || k.float_of == Some("single");
+    let named = options.kernels.clone();
+    KERNELS.iter().filter(move |k| {
+        let wanted = if named.is_empty() { is_single(k) } else { named.iter().any(|n| n.name == k.name) };
+        wanted && k.closest.is_some()
+    })
+}
+
+/// Hits, one a ray.
+fn as_many(hits: Vec<Hit>, rays: usize, file: &Path) -> Result<Vec<Hit>> {
+    if hits.len() == rays {
+        return Ok(hits);
+    }
+    let what = format!("{} hits for {rays} rays", hits.len());
+    Err(Error::Input { file: file.to_owned(), what })
+}
+
+/// A path as one word of the shell.
+fn quoted(path: &Path) -> String {
+    format!("'{}'", path.display().to_string().replace('\'', "'\\''"))
 }

@@ -1,0 +1,78 @@
+//! What is asked about a ray: the closest hit, the next one, or whether there is any.
+
+use super::Found;
+use super::arch::Kernel;
+use super::collect::{Any, Closest, Collector};
+use crate::exact::Line;
+use crate::geometry::{Hit, Ray, Skip};
+
+/// A question that a walk answers about a ray.
+pub(super) trait Ask {
+    /// What gathers the hits.
+    type Collector<'a>: Collector<'a>;
+    type Answer;
+    /// The answer where nothing is hit.
+    const NOTHING: Self::Answer;
+    fn begin<'a>(&self, ray: &Ray) -> Self::Collector<'a>;
+    fn end<K: Kernel>(kernel: K, collector: Self::Collector<'_>, ray: &Ray) -> Self::Answer;
+}
+
+/// The closest hit, after `last` if that is given.
+pub(super) struct Least<'f> {
+    pub skip: Skip,
+    pub last: Option<&'f Found>,
+}
+
+impl Ask for Least<'_> {
+    type Collector<'a> = Closest<'a>;
+    type Answer = Option<Found>;
+    const NOTHING: Option<Found> = None;
+
+    #[inline(always)]
+    fn begin<'a>(&self, ray: &Ray) -> Closest<'a> {
+        self.last.map_or_else(|| Closest::new(self.skip), |last| Closest::after(self.skip, &Line::new(ray), last))
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, collector: Closest<'_>, ray: &Ray) -> Option<Found> {
+        collector.found(kernel, ray)
+    }
+}
+
+/// The closest hit without where it is stored.
+pub(super) struct LeastHit;
+
+impl Ask for LeastHit {
+    type Collector<'a> = Closest<'a>;
+    type Answer = Hit;
+    const NOTHING: Hit = Hit::MISS;
+
+    #[inline(always)]
+    fn begin<'a>(&self, _: &Ray) -> Closest<'a> {
+        Closest::new(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, collector: Closest<'_>, ray: &Ray) -> Hit {
+        collector.found(kernel, ray).map_or(Hit::MISS, |found| found.hit)
+    }
+}
+
+/// Whether anything is hit.
+pub(super) struct Whether(pub Skip);
+
+impl Ask for Whether {
+    type Collector<'a> = Any<'a>;
+    type Answer = bool;
+    const NOTHING: bool = false;
+
+    #[inline(always)]
+    fn begin<'a>(&self, _: &Ray) -> Any<'a> {
+        Any::new(self.0)
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(_: K, collector: Any<'_>, _: &Ray) -> bool {
+        collector.found
+    }
+}

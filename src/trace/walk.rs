@@ -1,0 +1,387 @@
+//! The walk: an octree file against one ray, front to back by the direction mask.
+//!
+//! ```text
+//! walk(node, t0, dt):
+//!     touched = slots whose padded slabs overlap [near, best]          (arch/: one step for all eight)
+//!     for i in 0..8:  slot = i XOR a                                   (Revelles et al. 2000: near to far)
+//!         leaf:  f32 filter, exact test of what is left, offer each hit; a nearer one takes what is entered after it
+//!                off `touched`, here at once and on the levels above when the walk comes back to them
+//!         inner: walk(child, t0 + low * dt, dt * shrink)
+//!         brick: walk(root of its page, parameters of the brick's own frame)
+//! ```
+//!
+//! Recursion is a stack of levels. A hit counts wherever it lies, not only within the cell in which it was found; the order of visits
+//! is for speed only, and so is every bound: the answer is the least of all hits. Offsets inside a page are checked when the page is
+//! first used; here an offset of zero, or one that leads nowhere (a file cut short reads as zeros), is nothing.
+
+use std::cell::RefCell;
+
+use bytemuck::Zeroable;
+
+use super::Counters;
+use super::arch::{Cell, Job, Kernel, Saved};
+use super::ask::Ask;
+use super::collect::{Collector, Next, Place, Stored};
+use super::setup::{Scene, Setup};
+use crate::error::Result;
+use crate::exact::{Decision, Depths, Lanes, Line, Shear};
+use crate::format::{Brick, DEPTH_MAX, Node, PageId};
+use crate::geometry::{FaceId, Ray};
+use crate::map::{Octree, Page};
+
+/// Levels that a walk can need: a node of each depth, of the top and of a page.
+pub(super) const LEVELS: usize = 2 * DEPTH_MAX as usize;
+
+thread_local! {
+    /// Each thread's stack, kept so that a ray allocates nothing.
+    pub(super) static STACK: RefCell<Box<[Level; LEVELS]>> = RefCell::new(Box::new([Level::zeroed(); LEVELS]));
+}
+
+/// A node put aside, with slots left to visit.
+#[derive(Clone, Copy, Zeroable)]
+#[repr(C, align(32))]
+pub(super) struct Level {
+    pub saved: Saved,
+    pub node: u32,
+    /// Its page, [`TOP`] for top nodes.
+    pub page: u32,
+    /// Slots left to visit: bit i stands for slot i XOR a, like entry i of `near`.
+    pub left: u32,
+}
+
+pub(super) const TOP: u32 = u32::MAX;
+
+/// Slot bytes, see [`crate::format::Slot`]: below `EMPTY` a leaf; the two highest bits of the others.
+pub(super) const EMPTY: u8 = 0x7f;
+pub(super) const INNER: u8 = 0x80;
+pub(super) const BRICK: u8 = 0xc0;
+
+/// The nodes that a level's number counts in.
+#[derive(Clone, Copy)]
+pub(super) struct View<'a> {
+    pub nodes: &'a [Node],
+    /// The page's number, [`TOP`] for the top.
+    pub number: u32,
+    pub page: Option<Page<'a>>,
+}
+
+/// What every walk of a file needs.
+#[derive(Clone, Copy)]
+pub(super) struct File<'a> {
+    octree: &'a Octree,
+    /// Bytes of a unit of leaf offsets.
+    unit: usize,
+    pub scene: &'a Scene,
+}
+
+/// Rays to be walked one after the other, with whichever kernel is there.
+pub(super) struct OneByOne<'a, 'w, A: Ask> {
+    pub ask: A,
+    pub rays: &'w [Ray],
+    pub answers: &'w mut [A::Answer],
+    pub file: File<'a>,
+    pub counters: &'w mut Counters,
+    pub stack: &'w mut [Level; LEVELS],
+}
+
+impl<A: Ask> Job for OneByOne<'_, '_, A> {
+    type Output = Result<()>;
+
+    #[inline(always)]
+    fn run<K: Kernel>(self, kernel: K) -> Result<()> {
+        let OneByOne { ask, rays, answers, file, counters, stack } = self;
+        {
+            counters.rays += rays.len() as u64;
+            let mut sight = Sight { setup: Setup::blank(), shear: Shear::default(), depths: Depths::BLANK };
+            let mut start = None;
+            for (ray, answer) in rays.iter().zip(answers) {
+                if !sight.setup.aim(kernel, ray, file.scene) {
+                    *answer = A::NOTHING;
+                    continue;
+                }
+                let start = match &start {
+                    Some(start) => start,
+                    None => start.insert(file.start()?),
+                };
+                let mut collector = ask.begin(ray);
+                file.walk(kernel, stack, start, ray, &mut sight, &mut collector, counters)?;
+                *answer = A::end(kernel, collector, ray);
+            }
+            Ok(())
+        }
+    }
+}
+
+/// A ray prepared for nodes, and once it meets a leaf, for triangles. Made once for all rays of a batch.
+pub(super) struct Sight {
+    pub setup: Setup,
+    pub shear: Shear,
+    pub depths: Depths,
+}
+
+/// Where every ray of a file begins.
+pub(super) struct Start<'a> {
+    pub view: View<'a>,
+    pub cell: Cell,
+}
+
+impl<'a> File<'a> {
+    /// A file and what its rays share.
+    pub fn new(octree: &'a Octree, scene: &'a Scene) -> File<'a> {
+        File { octree, unit: octree.leaf_unit().bytes(), scene }
+    }
+
+    /// The root of the top, or of the only page.
+    pub fn start(&self) -> Result<Start<'a>> {
+        match (self.octree.top_nodes().is_empty(), self.octree.bricks()) {
+            (false, _) => Ok(Start { view: self.view(TOP)?, cell: ROOT }),
+            (true, [brick, ..]) => Ok(Start { view: self.view(0)?, cell: cell_of(brick) }),
+            (true, []) => Ok(Start { view: View { nodes: &[], number: TOP, page: None }, cell: ROOT }),
+        }
+    }
+
+    /// Walks one ray to its end.
+    #[inline(always)]
+    #[expect(clippy::too_many_arguments, reason = "what all rays of a batch share, made once")]
+    fn walk<K: Kernel>(
+        &self,
+        kernel: K,
+        stack: &mut [Level; LEVELS],
+        start: &Start<'a>,
+        ray: &Ray,
+        sight: &mut Sight,
+        collector: &mut impl Collector<'a>,
+        counters: &mut Counters,
+    ) -> Result<()> {
+        let mut view = start.view;
+        let mask = usize::from(sight.setup.way.order & 7);
+        // The parameter beyond which nothing matters.
+        let mut far = sight.setup.far;
+        let (mut nodes, mut bricks) = (1, u64::from(view.page.is_some()));
+        // The node under way, the frame and the entries of its slots, and those left to visit.
+        let (mut top, mut index) = (0, 0);
+        let mut node = view.node(index);
+        let mut frame = kernel.frame(&start.cell, &sight.setup.aim, &sight.setup.way);
+        let (mut left, mut near) = kernel.touch(node, frame, &sight.setup.way, far);
+        let mut sheared = false;
+        'walk: loop {
+            while left == 0 {
+                if top == 0 {
+                    break 'walk;
+                }
+                top -= 1;
+                let level = &stack[top];
+                (frame, near) = kernel.load(&level.saved);
+                left = level.left & kernel.within(near, far);
+                index = level.node;
+                if left != 0 && level.page != view.number {
+                    view = self.view(level.page)?;
+                }
+                node = view.node(index);
+            }
+            let slot = (left.trailing_zeros() & 7) as usize ^ mask;
+            left &= left - 1;
+            let byte = node.slots[slot];
+            if byte < EMPTY {
+                let Some(stored) = self.stored(&view, index, node, byte, counters) else { continue };
+                if !sheared {
+                    sheared = true;
+                    sight.shear = Shear::new(ray, self.scene.bounds);
+                }
+                match leaf(kernel, &stored, ray, sight, &mut far, collector, counters) {
+                    Next::On => {}
+                    Next::Nearer => left &= kernel.within(near, far),
+                    Next::Done => break 'walk,
+                }
+                continue;
+            }
+            if byte & 0xc0 == INNER && node.first_child != 0 {
+                if left != 0 {
+                    top = keep(kernel, stack, top, (frame, near), [index, view.number, left]);
+                }
+                frame = kernel.child(frame, node, slot, &sight.setup.way);
+                index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
+            } else if byte & BRICK == BRICK && view.page.is_none() {
+                let number = node.first_leaf.wrapping_add(u32::from(byte & 0x3f));
+                let Some(brick) = self.brick(number) else { continue };
+                if left != 0 {
+                    top = keep(kernel, stack, top, (frame, near), [index, view.number, left]);
+                }
+                bricks += 1;
+                view = self.view(number)?;
+                index = 0;
+                frame = kernel.frame(&cell_of(brick), &sight.setup.aim, &sight.setup.way);
+            } else {
+                continue;
+            }
+            node = view.node(index);
+            nodes += 1;
+            (left, near) = kernel.touch(node, frame, &sight.setup.way, far);
+        }
+        counters.nodes += nodes;
+        counters.bricks += bricks;
+        Ok(())
+    }
+
+    /// The nodes of a page or of the top.
+    #[inline(always)]
+    pub fn view(&self, number: u32) -> Result<View<'a>> {
+        if number == TOP {
+            return Ok(View { nodes: self.octree.top_nodes(), number, page: None });
+        }
+        let page = self.octree.page(PageId(number))?;
+        Ok(View { nodes: page.nodes(), number, page: Some(page) })
+    }
+
+    /// The leaf that slot byte `units` of node `index` names.
+    #[inline(always)]
+    pub fn stored(
+        &self,
+        view: &View<'a>,
+        index: u32,
+        node: &Node,
+        units: u8,
+        counters: &mut Counters,
+    ) -> Option<Stored<'a>> {
+        let page = view.page?;
+        if node.first_leaf == 0 {
+            return None;
+        }
+        let leaf = page.leaf(64 + 64 * index as usize + 16 * node.first_leaf as usize + self.unit * usize::from(units));
+        counters.leaves += 1;
+        counters.triangles += leaf.len() as u64;
+        Some(Stored { page, id: PageId(view.number), leaf })
+    }
+
+    /// The brick of that number among those of a top node.
+    #[inline(always)]
+    pub fn brick(&self, number: u32) -> Option<&'a Brick> {
+        self.octree.bricks().get(number as usize)
+    }
+}
+
+/// Puts a node aside that has slots left, to come back to it; the number of levels then.
+#[inline(always)]
+pub(super) fn keep<K: Kernel>(
+    kernel: K,
+    stack: &mut [Level; LEVELS],
+    top: usize,
+    (frame, near): (K::Frame, K::Near),
+    [node, page, left]: [u32; 3],
+) -> usize {
+    let level = &mut stack[top];
+    kernel.save(&mut level.saved, frame, near);
+    (level.node, level.page, level.left) = (node, page, left);
+    (top + 1).min(LEVELS - 1)
+}
+
+/// Tests the triangles of a leaf, and gives the hits to the collector.
+#[inline(always)]
+fn leaf<'a, K: Kernel>(
+    kernel: K,
+    stored: &Stored<'a>,
+    ray: &Ray,
+    sight: &mut Sight,
+    far: &mut f32,
+    collector: &mut impl Collector<'a>,
+    counters: &mut Counters,
+) -> Next {
+    let lanes = kernel.classify(&stored.leaf, &sight.shear, range(ray, collector), &mut sight.depths);
+    if lanes.accept | lanes.doubt == 0 {
+        return Next::On;
+    }
+    take(stored, lanes, ray, sight, far, collector, counters)
+}
+
+/// The t that still matter.
+#[inline(always)]
+pub(super) fn range<'a>(ray: &Ray, collector: &impl Collector<'a>) -> [f32; 2] {
+    let reach = collector.reach();
+    [ray.tmin, if reach < ray.tmax { reach } else { ray.tmax }]
+}
+
+/// Gives what the filter left of a leaf to the collector.
+#[inline(always)]
+pub(super) fn take<'a>(
+    stored: &Stored<'a>,
+    lanes: Lanes,
+    ray: &Ray,
+    sight: &Sight,
+    far: &mut f32,
+    collector: &mut impl Collector<'a>,
+    counters: &mut Counters,
+) -> Next {
+    let next = match collector.glance(ray, lanes, &sight.depths, stored) {
+        Some(next) => next,
+        None => settle(stored, lanes, ray, collector, counters),
+    };
+    if next == Next::Nearer {
+        *far = far.min(sight.setup.reach(collector.reach()));
+    }
+    next
+}
+
+/// Decides exactly what bounds did not, and offers the hits.
+#[inline(never)]
+fn settle<'a>(
+    stored: &Stored<'a>,
+    lanes: Lanes,
+    ray: &Ray,
+    collector: &mut impl Collector<'a>,
+    counters: &mut Counters,
+) -> Next {
+    counters.doubts += u64::from(lanes.doubt.count_ones());
+    let line = Line::new(ray);
+    let mut left = lanes.accept | lanes.doubt;
+    let mut next = Next::On;
+    while left != 0 {
+        let j = left.trailing_zeros();
+        left &= left - 1;
+        let triangle = stored.leaf.triangle(j as usize);
+        let doubted = lanes.doubt >> j & 1 != 0;
+        let Decision { crossing, exact } = if doubted { line.meet(&triangle) } else { line.accepted(&triangle) };
+        counters.exact += u64::from(exact);
+        let Some(crossing) = crossing else { continue };
+        match collector.offer(&line, crossing, &Reference { stored, lane: j }) {
+            Next::On => {}
+            Next::Nearer => next = Next::Nearer,
+            Next::Done => return Next::Done,
+        }
+    }
+    next
+}
+
+impl<'a> View<'a> {
+    /// A node; an empty one where there is none of that number.
+    #[inline(always)]
+    pub fn node(&self, index: u32) -> &'a Node {
+        self.nodes.get(index as usize).unwrap_or(&Node::EMPTY)
+    }
+}
+
+/// A brick's own frame.
+#[inline(always)]
+pub(super) fn cell_of(brick: &Brick) -> Cell {
+    Cell { corner: brick.corner, unit: brick.unit }
+}
+
+/// The root's own frame.
+const ROOT: Cell = Cell { corner: [0.0; 3], unit: [1.0 / 256.0; 3] };
+
+/// A triangle of a leaf.
+struct Reference<'p, 'a> {
+    stored: &'p Stored<'a>,
+    lane: u32,
+}
+
+impl Place for Reference<'_, '_> {
+    fn face(&self) -> FaceId {
+        self.stored.page.face(self.reference())
+    }
+    fn page(&self) -> PageId {
+        self.stored.id
+    }
+    fn reference(&self) -> u32 {
+        self.stored.leaf.first().wrapping_add(self.lane)
+    }
+}

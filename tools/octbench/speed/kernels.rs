@@ -1,0 +1,39 @@
+//! The kernels that can be measured: a list, to which a new one is added as one entry.
+
+use octrace::Result;
+use octrace::geometry::{Hit, Ray};
+use octrace::map::Octree;
+use octrace::trace::{Counters, OctreeTracer, Tracer};
+
+/// The tracer as it is measured.
+pub type Measured<'a> = OctreeTracer<&'a Octree>;
+/// Answers rays: one answer a ray.
+pub type Batch<A> = fn(&Measured<'_>, &[Ray], &mut [A]) -> Result<Counters>;
+
+/// One way to answer many rays.
+pub struct Kernel {
+    /// Name in tables and on the command line.
+    pub name: &'static str,
+    /// For a kernel that rounds: the exact one that does the same work otherwise. What exactness costs is told from such pairs.
+    pub float_of: Option<&'static str>,
+    /// Closest hits, if it can.
+    pub closest: Option<Batch<Hit>>,
+    /// Whether anything is hit, if it can.
+    pub any: Option<Batch<bool>>,
+}
+
+/// All kernels.
+pub const KERNELS: &[Kernel] = &[Kernel {
+    name: "single",
+    float_of: None,
+    closest: Some(|tracer, rays, hits| tracer.closest_batch(rays, hits)),
+    any: Some(|tracer, rays, blocked| tracer.any_batch(rays, blocked)),
+}];
+
+/// The kernel of a name.
+pub fn named(name: &str) -> std::result::Result<&'static Kernel, String> {
+    KERNELS.iter().find(|k| k.name == name).ok_or_else(|| {
+        let names: Vec<_> = KERNELS.iter().map(|k| k.name).collect();
+        format!("the kernels are {}", names.join(", "))
+    })
+}
