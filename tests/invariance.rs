@@ -202,6 +202,8 @@ fn whatever_walks_it() {
             bench.check("every triangle", &LinearTracer::new(&octree).unwrap());
             for isa in Isa::available() {
                 bench.check(&format!("{split:?} {}", isa.name()), &OctreeTracer::new(&octree).with_isa(isa));
+                let several = OctreeTracer::new(&octree).with_isa(isa).with_flight(true);
+                bench.check(&format!("{split:?} {} several rays at a time", isa.name()), &several);
                 let backward = OctreeTracer::new(&octree).with_isa(isa).backward();
                 bench.check(&format!("{split:?} {} far to near", isa.name()), &backward);
             }

@@ -12,14 +12,16 @@ use crate::error::Result;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
 
-/// Files up to this size stay in the processor's caches, and are walked by one ray after the other: measured.
+/// Batches on files up to this size, which mostly stay in the processor's caches, are walked one ray after the other: measured.
 const CACHED: u64 = 64 << 20;
 
 /// Answers rays by walking an octree file. `O` is `&Octree`, `Arc<Octree>`, or `Octree` itself.
+#[derive(Clone)]
 pub struct OctreeTracer<O> {
     octree: O,
     scene: Scene,
     isa: Isa,
+    in_flight: bool,
 }
 
 impl<O: Borrow<Octree>> OctreeTracer<O> {
@@ -27,12 +29,19 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     pub fn new(octree: O) -> OctreeTracer<O> {
         let file = octree.borrow();
         let scene = Scene::new(file.root(), file.bounds(), file.header().depth);
-        OctreeTracer { octree, scene, isa: Isa::best() }
+        let in_flight = file.header().file_bytes > CACHED;
+        OctreeTracer { octree, scene, isa: Isa::best(), in_flight }
     }
 
     /// The same with a given instruction set; the answers are the same, bit for bit.
     pub fn with_isa(self, isa: Isa) -> OctreeTracer<O> {
         OctreeTracer { isa, ..self }
+    }
+
+    /// The same, but batches walked several rays at a time or one ray after the other, whatever the file's size; the answers are the
+    /// same, bit for bit.
+    pub fn with_flight(self, in_flight: bool) -> OctreeTracer<O> {
+        OctreeTracer { in_flight, ..self }
     }
 
     /// The same, but each node's children far to near: slower, the answers the same, bit for bit. For tests of that.
@@ -75,21 +84,15 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
 
     /// Answers rays of which nothing is known, on this thread, by the walk that is faster for the file.
     fn many<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()> {
-        if self.octree().header().file_bytes > CACHED {
-            self.in_flight(ask, rays, answers, counters)
+        if self.in_flight {
+            self.several(ask, rays, answers, counters)
         } else {
             self.one_by_one(ask, rays, answers, counters)
         }
     }
 
     /// Answers rays several at a time, on this thread; adds the work done to `counters`.
-    fn in_flight<A: Ask>(
-        &self,
-        ask: A,
-        rays: &[Ray],
-        answers: &mut [A::Answer],
-        counters: &mut Counters,
-    ) -> Result<()> {
+    fn several<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()> {
         let file = File::new(self.octree(), &self.scene);
         STACKS.with_borrow_mut(|stacks| self.isa.run(Flight { ask, rays, answers, file, counters, stacks }))?;
         self.octree().fault()

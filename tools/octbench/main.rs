@@ -178,14 +178,14 @@ fn verdict(errors: u64) -> ExitCode {
     if errors == 0 { ExitCode::SUCCESS } else { ExitCode::from(CHECK_FAILED) }
 }
 
+/// Prints the table unless standard output carries the statistics.
+fn table(stats: &StatsFile, text: &str) -> Result<()> {
+    if stats_on_stdout(stats) { Ok(()) } else { print(text) }
+}
+
 /// Whether standard output carries the statistics.
 fn stats_on_stdout(stats: &StatsFile) -> bool {
     stats.stats.as_deref().is_some_and(cli::args::is_stdio)
-}
-
-/// Prints a line of a table unless standard output carries the statistics.
-fn table(stats: &StatsFile, text: &str) -> Result<()> {
-    if stats_on_stdout(stats) { Ok(()) } else { print(text) }
 }
 
 fn run_accuracy(options: &Accuracy, session: &Session<'_>) -> Result<ExitCode> {
@@ -225,9 +225,7 @@ fn run_replay(options: &Replay, session: &Session<'_>) -> Result<ExitCode> {
 /// The table, the statistics, and the summary.
 fn finish(report: &Report, stats: &StatsFile, session: &Session<'_>) -> Result<()> {
     stats.write(report)?;
-    if !stats_on_stdout(stats) {
-        print(&report.table())?;
-    }
+    table(stats, &report.table())?;
     session.say(report.summary().trim_end());
     Ok(())
 }

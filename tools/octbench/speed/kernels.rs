@@ -23,12 +23,20 @@ pub struct Kernel {
 }
 
 /// All kernels.
-pub const KERNELS: &[Kernel] = &[Kernel {
-    name: "single",
-    float_of: None,
-    closest: Some(|tracer, rays, hits| tracer.closest_batch(rays, hits)),
-    any: Some(|tracer, rays, blocked| tracer.any_batch(rays, blocked)),
-}];
+pub const KERNELS: &[Kernel] = &[
+    Kernel {
+        name: "single",
+        float_of: None,
+        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(false).closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(false).any_batch(rays, blocked)),
+    },
+    Kernel {
+        name: "flight",
+        float_of: None,
+        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(true).closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(true).any_batch(rays, blocked)),
+    },
+];
 
 /// The kernel of a name.
 pub fn named(name: &str) -> std::result::Result<&'static Kernel, String> {
