@@ -90,25 +90,23 @@ impl<A: Ask> Job for OneByOne<'_, '_, A> {
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> Result<()> {
         let OneByOne { ask, rays, answers, file, counters, stack } = self;
-        {
-            counters.rays += rays.len() as u64;
-            let mut sight = Sight { setup: Setup::blank(), shear: Shear::default(), depths: Depths::BLANK };
-            let mut start = None;
-            for (ray, answer) in rays.iter().zip(answers) {
-                if !sight.setup.aim(kernel, ray, file.scene) {
-                    *answer = A::NOTHING;
-                    continue;
-                }
-                let start = match &start {
-                    Some(start) => start,
-                    None => start.insert(file.start()?),
-                };
-                let mut collector = ask.begin(ray);
-                file.walk(kernel, stack, start, ray, &mut sight, &mut collector, counters)?;
-                *answer = A::end(kernel, collector, ray);
+        counters.rays += rays.len() as u64;
+        let mut sight = Sight { setup: Setup::blank(), shear: Shear::default(), depths: Depths::BLANK };
+        let mut start = None;
+        for (ray, answer) in rays.iter().zip(answers) {
+            if !sight.setup.aim(kernel, ray, file.scene) {
+                *answer = A::NOTHING;
+                continue;
             }
-            Ok(())
+            let start = match &start {
+                Some(start) => start,
+                None => start.insert(file.start()?),
+            };
+            let mut collector = ask.begin(ray);
+            file.walk(kernel, stack, start, ray, &mut sight, &mut collector, counters)?;
+            *answer = A::end(kernel, collector, ray);
         }
+        Ok(())
     }
 }
 
