@@ -92,6 +92,18 @@ pub struct Lanes {
 }
 
 impl Shear {
+    /// Zeros.
+    pub const BLANK: Shear = Shear {
+        axes: [0; 3],
+        origin: [0.0; 3],
+        sx: 0.0,
+        sy: 0.0,
+        linear: 0.0,
+        constant: 0.0,
+        inverse: 0.0,
+        depth: [0.0; 3],
+    };
+
     /// Prepares a valid ray against triangles within `bounds`.
     #[inline(always)]
     pub fn new(ray: &Ray, bounds: Aabb) -> Shear {

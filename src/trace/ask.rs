@@ -2,7 +2,7 @@
 
 use super::Found;
 use super::arch::Kernel;
-use super::collect::{Any, Closest, Collector};
+use super::collect::{Any, Closest, Collector, Rounding};
 use crate::exact::Line;
 use crate::geometry::{Hit, Ray, Skip};
 
@@ -14,7 +14,8 @@ pub(super) trait Ask {
     /// The answer where nothing is hit.
     const NOTHING: Self::Answer;
     fn begin<'a>(&self, ray: &Ray) -> Self::Collector<'a>;
-    fn end<K: Kernel>(kernel: K, collector: Self::Collector<'_>, ray: &Ray) -> Self::Answer;
+    /// The answers to up to 16 rays whose walks are over; each slice has as many entries.
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Self::Collector<'_>], answers: &mut [Self::Answer]);
 }
 
 /// The closest hit, after `last` if that is given.
@@ -34,8 +35,11 @@ impl Ask for Least<'_> {
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(kernel: K, collector: Closest<'_>, ray: &Ray) -> Option<Found> {
-        collector.found(kernel, ray)
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], answers: &mut [Option<Found>]) {
+        let rounding = Rounding::of(kernel, rays, collectors);
+        for (i, ((ray, collector), answer)) in rays.iter().zip(collectors).zip(answers).enumerate() {
+            *answer = collector.found(ray, rounding.get(i));
+        }
     }
 }
 
@@ -53,8 +57,14 @@ impl Ask for LeastHit {
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(kernel: K, collector: Closest<'_>, ray: &Ray) -> Hit {
-        collector.found(kernel, ray).map_or(Hit::MISS, |found| found.hit)
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], answers: &mut [Hit]) {
+        let rounding = Rounding::of(kernel, rays, collectors);
+        for (i, ((ray, collector), answer)) in rays.iter().zip(collectors).zip(answers).enumerate() {
+            *answer = match collector.found(ray, rounding.get(i)) {
+                Some(found) => found.hit,
+                None => Hit::MISS,
+            };
+        }
     }
 }
 
@@ -72,7 +82,9 @@ impl Ask for Whether {
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(_: K, collector: Any<'_>, _: &Ray) -> bool {
-        collector.found
+    fn end<K: Kernel>(_: K, _: &[Ray], collectors: &[Any<'_>], answers: &mut [bool]) {
+        for (collector, answer) in collectors.iter().zip(answers) {
+            *answer = collector.found;
+        }
     }
 }

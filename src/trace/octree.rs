@@ -9,6 +9,7 @@ use super::setup::Scene;
 use super::walk::{File, OneByOne, STACK};
 use super::{Counters, Found, Tracer, batch};
 use crate::error::Result;
+use crate::exact::LANES;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
 
@@ -64,13 +65,13 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     /// Answers one ray.
     fn ask_one<A: Ask>(&self, ask: A, ray: &Ray, counters: &mut Counters) -> Result<A::Answer> {
         let mut answer = [A::NOTHING];
-        self.one_by_one(ask, std::slice::from_ref(ray), &mut answer, counters)?;
+        self.one_by_one::<A, 1>(ask, std::slice::from_ref(ray), &mut answer, counters)?;
         let [answer] = answer;
         Ok(answer)
     }
 
     /// Answers rays one after the other, on this thread; adds the work done to `counters`.
-    fn one_by_one<A: Ask>(
+    fn one_by_one<A: Ask, const N: usize>(
         &self,
         ask: A,
         rays: &[Ray],
@@ -78,7 +79,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         counters: &mut Counters,
     ) -> Result<()> {
         let file = File::new(self.octree(), &self.scene);
-        STACK.with_borrow_mut(|stack| self.isa.run(OneByOne { ask, rays, answers, file, counters, stack }))?;
+        STACK.with_borrow_mut(|stack| self.isa.run(OneByOne::<A, N> { ask, rays, answers, file, counters, stack }))?;
         self.octree().fault()
     }
 
@@ -87,7 +88,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         if self.in_flight {
             self.several(ask, rays, answers, counters)
         } else {
-            self.one_by_one(ask, rays, answers, counters)
+            self.one_by_one::<A, LANES>(ask, rays, answers, counters)
         }
     }
 

@@ -200,8 +200,8 @@ fn approach(ray: &Ray, scene: &Scene, g: [f64; 3], inv: [f64; 3], (first, last):
 
 impl Setup {
     /// One that is yet to be aimed.
-    pub fn blank() -> Setup {
-        Setup { way: Way::default(), aim: Aim::default(), plain: false, far: 0.0, scale: 0.0, tau0: 0.0, pad: 0.0 }
+    pub const fn blank() -> Setup {
+        Setup { way: Way::BLANK, aim: Aim::BLANK, plain: false, far: 0.0, scale: 0.0, tau0: 0.0, pad: 0.0 }
     }
 
     /// Prepares a ray; false if it is invalid or found to miss the root cube, and then nothing here is to be used.

@@ -74,8 +74,9 @@ pub(super) struct File<'a> {
     pub scene: &'a Scene,
 }
 
-/// Rays to be walked one after the other, with whichever kernel is there.
-pub(super) struct OneByOne<'a, 'w, A: Ask> {
+/// Rays to be walked one after the other, with whichever kernel is there. N rays at a time (at most 16) are prepared together,
+/// and the answers to them rounded together, since what does not wait for anything goes much faster than the walks between.
+pub(super) struct OneByOne<'a, 'w, A: Ask, const N: usize> {
     pub ask: A,
     pub rays: &'w [Ray],
     pub answers: &'w mut [A::Answer],
@@ -84,37 +85,62 @@ pub(super) struct OneByOne<'a, 'w, A: Ask> {
     pub stack: &'w mut [Level; LEVELS],
 }
 
-impl<A: Ask> Job for OneByOne<'_, '_, A> {
+impl<A: Ask, const N: usize> Job for OneByOne<'_, '_, A, N> {
     type Output = Result<()>;
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> Result<()> {
         let OneByOne { ask, rays, answers, file, counters, stack } = self;
         counters.rays += rays.len() as u64;
-        let mut sight = Sight { setup: Setup::blank(), shear: Shear::default(), depths: Depths::BLANK };
-        let mut start = None;
-        for (ray, answer) in rays.iter().zip(answers) {
-            if !sight.setup.aim(kernel, ray, file.scene) {
-                *answer = A::NOTHING;
-                continue;
+        let start = file.start()?;
+        let mut depths = Depths::BLANK;
+        let mut crew: [Sight; N] = [const { Sight::blank() }; N];
+        for (rays, answers) in rays.chunks(N).zip(answers.chunks_mut(N)) {
+            let mut live = 0u32;
+            let last = rays.len() - 1;
+            let mut collectors: [A::Collector<'_>; N] = std::array::from_fn(|i| ask.begin(&rays[i.min(last)]));
+            for (i, (ray, sight)) in rays.iter().zip(&mut crew).enumerate() {
+                if sight.setup.aim(kernel, ray, file.scene) {
+                    let Setup { way, aim, far, .. } = &sight.setup;
+                    let frame = kernel.frame(&start.cell, aim, way);
+                    let (left, near) = kernel.touch(start.view.node(0), frame, way, *far);
+                    kernel.save(&mut sight.saved, frame, near);
+                    sight.left = left;
+                    live |= u32::from(left != 0) << i;
+                    counters.nodes += 1;
+                }
             }
-            let start = match &start {
-                Some(start) => start,
-                None => start.insert(file.start()?),
-            };
-            let mut collector = ask.begin(ray);
-            file.walk(kernel, stack, start, ray, &mut sight, &mut collector, counters)?;
-            *answer = A::end(kernel, collector, ray);
+            let mut left = live;
+            while left != 0 {
+                let i = left.trailing_zeros() as usize % N;
+                left &= left - 1;
+                crew[i].shear = Shear::new(&rays[i], file.scene.bounds);
+            }
+            let mut left = live;
+            while left != 0 {
+                let i = left.trailing_zeros() as usize % N;
+                left &= left - 1;
+                file.walk(kernel, stack, &start, &rays[i], &mut crew[i], &mut depths, &mut collectors[i], counters)?;
+            }
+            A::end(kernel, rays, &collectors[..rays.len()], answers);
         }
         Ok(())
     }
 }
 
-/// A ray prepared for nodes, and once it meets a leaf, for triangles. Made once for all rays of a batch.
+/// A ray prepared for nodes and for triangles, and the first node: its frame, its slots' entries, and those to visit.
 pub(super) struct Sight {
     pub setup: Setup,
     pub shear: Shear,
-    pub depths: Depths,
+    pub saved: Saved,
+    pub left: u32,
+}
+
+impl Sight {
+    /// One that is yet to be prepared.
+    pub const fn blank() -> Sight {
+        Sight { setup: Setup::blank(), shear: Shear::BLANK, saved: Saved::BLANK, left: 0 }
+    }
 }
 
 /// Where every ray of a file begins.
@@ -148,6 +174,7 @@ impl<'a> File<'a> {
         start: &Start<'a>,
         ray: &Ray,
         sight: &mut Sight,
+        depths: &mut Depths,
         collector: &mut impl Collector<'a>,
         counters: &mut Counters,
     ) -> Result<()> {
@@ -155,13 +182,12 @@ impl<'a> File<'a> {
         let mask = usize::from(sight.setup.way.order & 7);
         // The parameter beyond which nothing matters.
         let mut far = sight.setup.far;
-        let (mut nodes, mut bricks) = (1, u64::from(view.page.is_some()));
+        let (mut nodes, mut bricks) = (0, u64::from(view.page.is_some()));
         // The node under way, the frame and the entries of its slots, and those left to visit.
         let (mut top, mut index) = (0, 0);
         let mut node = view.node(index);
-        let mut frame = kernel.frame(&start.cell, &sight.setup.aim, &sight.setup.way);
-        let (mut left, mut near) = kernel.touch(node, frame, &sight.setup.way, far);
-        let mut sheared = false;
+        let (mut frame, mut near) = kernel.load(&sight.saved);
+        let mut left = sight.left;
         'walk: loop {
             while left == 0 {
                 if top == 0 {
@@ -182,11 +208,7 @@ impl<'a> File<'a> {
             let byte = node.slots[slot];
             if byte < EMPTY {
                 let Some(stored) = self.stored(&view, index, node, byte, counters) else { continue };
-                if !sheared {
-                    sheared = true;
-                    sight.shear = Shear::new(ray, self.scene.bounds);
-                }
-                match leaf(kernel, &stored, ray, sight, &mut far, collector, counters) {
+                match leaf(kernel, &stored, ray, sight, depths, &mut far, collector, counters) {
                     Next::On => {}
                     Next::Nearer => left &= kernel.within(near, far),
                     Next::Done => break 'walk,
@@ -275,20 +297,22 @@ pub(super) fn keep<K: Kernel>(
 
 /// Tests the triangles of a leaf, and gives the hits to the collector.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the state of a walk")]
 fn leaf<'a, K: Kernel>(
     kernel: K,
     stored: &Stored<'a>,
     ray: &Ray,
-    sight: &mut Sight,
+    sight: &Sight,
+    depths: &mut Depths,
     far: &mut f32,
     collector: &mut impl Collector<'a>,
     counters: &mut Counters,
 ) -> Next {
-    let lanes = kernel.classify(&stored.leaf, &sight.shear, range(ray, collector), &mut sight.depths);
+    let lanes = kernel.classify(&stored.leaf, &sight.shear, range(ray, collector), depths);
     if lanes.accept | lanes.doubt == 0 {
         return Next::On;
     }
-    take(stored, lanes, ray, sight, far, collector, counters)
+    take(stored, lanes, ray, &sight.setup, depths, far, collector, counters)
 }
 
 /// The t that still matter.
@@ -300,21 +324,23 @@ pub(super) fn range<'a>(ray: &Ray, collector: &impl Collector<'a>) -> [f32; 2] {
 
 /// Gives what the filter left of a leaf to the collector.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the state of a walk")]
 pub(super) fn take<'a>(
     stored: &Stored<'a>,
     lanes: Lanes,
     ray: &Ray,
-    sight: &Sight,
+    setup: &Setup,
+    depths: &Depths,
     far: &mut f32,
     collector: &mut impl Collector<'a>,
     counters: &mut Counters,
 ) -> Next {
-    let next = match collector.glance(ray, lanes, &sight.depths, stored) {
+    let next = match collector.glance(ray, lanes, depths, stored) {
         Some(next) => next,
         None => settle(stored, lanes, ray, collector, counters),
     };
     if next == Next::Nearer {
-        *far = far.min(sight.setup.reach(collector.reach()));
+        *far = far.min(setup.reach(collector.reach()));
     }
     next
 }

@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Aim, Cell, Fit, Job, Kernel, Saved, Way, avx2, scalar};
+use super::{Aim, Block, Cell, Fit, Job, Kernel, Rounded, Saved, Way, avx2, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
 use crate::geometry::Ray;
@@ -193,9 +193,9 @@ impl Kernel for Avx512 {
     }
 
     #[inline(always)]
-    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+    fn rounded(self, block: &Block, count: usize, to: &mut Rounded) {
         // SAFETY: `self` is proof.
-        unsafe { avx2::rounded(leaf, lane, ray) }
+        unsafe { avx2::rounded(block, count, to) }
     }
 }
 

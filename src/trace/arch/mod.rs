@@ -17,7 +17,7 @@ mod scalar;
 
 use std::sync::OnceLock;
 
-use crate::exact::{Depths, Lanes, Shear};
+use crate::exact::{Depths, LANES, Lanes, Shear};
 use crate::format::{Leaf, Node};
 use crate::geometry::Ray;
 
@@ -54,6 +54,11 @@ pub(super) struct Aim {
     pub slack: [f32; 4],
 }
 
+impl Aim {
+    /// Zeros.
+    pub const BLANK: Aim = Aim { origin: [0.0; 4], inv: [0.0; 4], slack: [0.0; 4] };
+}
+
 /// The parameters of a node's frame, axes x, y, z and one unused lane: with the slack of the setup taken off, plane q is
 /// entered at `begin + q * dt` at the earliest; it is left at that plus [`Way::slack`] at the latest.
 #[derive(Clone, Copy, Debug)]
@@ -79,6 +84,11 @@ pub(super) struct Way {
     pub near: f32,
 }
 
+impl Way {
+    /// Zeros.
+    pub const BLANK: Way = Way { least: [0.0; 4], slack: [0.0; 4], mask: 0, order: 0, near: 0.0 };
+}
+
 /// How far a plain ray's origin may be from the root, in root sizes.
 pub(super) const NEAR: f64 = 16.0;
 
@@ -92,6 +102,32 @@ pub(super) struct Saved {
     near: [f32; 8],
     /// As the kernel has it.
     frame: [f32; 16],
+}
+
+impl Saved {
+    /// Zeros.
+    pub const BLANK: Saved = Saved { near: [0.0; 8], frame: [0.0; 16] };
+}
+
+/// Hits whose t, u and v are wanted: triangles, and the rays that are known to hit them; entry i of each axis belongs to hit i.
+#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
+#[repr(C, align(64))]
+pub(super) struct Block {
+    pub a: [[f32; LANES]; 3],
+    pub b: [[f32; LANES]; 3],
+    pub c: [[f32; LANES]; 3],
+    pub origin: [[f32; LANES]; 3],
+    pub direction: [[f32; LANES]; 3],
+}
+
+/// The t, u and v of a block's hits; those whose bit is set in `certain` are correctly rounded, others hold anything.
+#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
+#[repr(C, align(64))]
+pub(super) struct Rounded {
+    pub t: [f32; LANES],
+    pub u: [f32; LANES],
+    pub v: [f32; LANES],
+    pub certain: u32,
 }
 
 /// The inner loops for one instruction set. A value of the type is proof that the processor has it.
@@ -119,8 +155,8 @@ pub(super) trait Kernel: Copy {
     fn child(self, frame: Self::Frame, node: &Node, slot: usize, way: &Way) -> Self::Frame;
     /// The filter's word on each triangle of a leaf; as [`Shear::classify`].
     fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes;
-    /// t, u, v of a triangle of a leaf (one that there is) which the ray is known to hit; as [`Line::rounded`](crate::exact::Line::rounded).
-    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]>;
+    /// t, u, v of the first `count` (1 to 16) hits of a block, each as [`Line::rounded`](crate::exact::Line::rounded).
+    fn rounded(self, block: &Block, count: usize, to: &mut Rounded);
 }
 
 /// Something to be done with whichever kernel is there.

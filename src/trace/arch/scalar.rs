@@ -1,9 +1,11 @@
 //! The portable inner loops.
 
-use super::{Aim, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Saved, Way};
+use glam::Vec3;
+
+use super::{Aim, Block, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Rounded, Saved, Way};
 use crate::exact::{Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Coding, Frame, Leaf, Node};
-use crate::geometry::Ray;
+use crate::geometry::{Ray, Triangle};
 
 /// Portable code over fixed arrays.
 #[derive(Clone, Copy, Debug)]
@@ -106,8 +108,18 @@ impl Kernel for Scalar {
     }
 
     #[inline(always)]
-    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
-        Line::new(ray).rounded(&leaf.triangle(lane))
+    fn rounded(self, block: &Block, count: usize, to: &mut Rounded) {
+        to.certain = 0;
+        for i in 0..count.min(LANES) {
+            let of = |points: &[[f32; LANES]; 3]| [points[0][i], points[1][i], points[2][i]];
+            let corner = |points| Vec3::from_array(of(points));
+            let triangle = Triangle { a: corner(&block.a), b: corner(&block.b), c: corner(&block.c) };
+            let line = Line::new(&Ray::new(of(&block.origin), of(&block.direction)));
+            if let Some([t, u, v]) = line.rounded(&triangle) {
+                to.certain |= 1 << i;
+                (to.t[i], to.u[i], to.v[i]) = (t, u, v);
+            }
+        }
     }
 }
 
