@@ -13,7 +13,8 @@ pub(super) trait Ask {
     type Answer;
     /// The answer where nothing is hit.
     const NOTHING: Self::Answer;
-    fn begin<'a>(&self, ray: &Ray) -> Self::Collector<'a>;
+    /// For ray `i` of those that are asked about.
+    fn begin<'a>(&self, i: usize, ray: &Ray) -> Self::Collector<'a>;
     /// The answers to up to 16 rays whose walks are over; each slice has as many entries.
     fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Self::Collector<'_>], answers: &mut [Self::Answer]);
 }
@@ -30,7 +31,7 @@ impl Ask for Least<'_> {
     const NOTHING: Option<Found> = None;
 
     #[inline(always)]
-    fn begin<'a>(&self, ray: &Ray) -> Closest<'a> {
+    fn begin<'a>(&self, _: usize, ray: &Ray) -> Closest<'a> {
         self.last.map_or_else(|| Closest::new(self.skip), |last| Closest::after(self.skip, &Line::new(ray), last))
     }
 
@@ -52,7 +53,7 @@ impl Ask for LeastHit {
     const NOTHING: Hit = Hit::MISS;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: &Ray) -> Closest<'a> {
+    fn begin<'a>(&self, _: usize, _: &Ray) -> Closest<'a> {
         Closest::new(Skip::NONE)
     }
 
@@ -77,7 +78,7 @@ impl Ask for Whether {
     const NOTHING: bool = false;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: &Ray) -> Any<'a> {
+    fn begin<'a>(&self, _: usize, _: &Ray) -> Any<'a> {
         Any::new(self.0)
     }
 

@@ -41,6 +41,21 @@ pub(super) trait Collector<'a> {
 
     /// An upper bound of the t of any hit that still matters.
     fn reach(&self) -> f32;
+
+    /// Whether any hit ends the search.
+    const FIRST: bool;
+
+    /// Takes triangle `lane` of a leaf, which is certainly hit within the interval and before all that was seen, its t between two bounds.
+    fn see(&mut self, bounds: [f32; 2], stored: &Stored<'a>, lane: u32);
+
+    /// The bounds that were given to [`Collector::see`] last, or found by [`Collector::glance`]; infinite where nothing was seen.
+    fn seen(&self) -> [f32; 2];
+
+    /// Whether the hit that was seen last is of that face.
+    fn has_seen(&self, face: FaceId) -> bool;
+
+    /// The faces that do not count.
+    fn skip(&self) -> Skip;
 }
 
 /// A leaf, and where it is.
@@ -52,6 +67,12 @@ pub(super) struct Stored<'a> {
 }
 
 impl Stored<'_> {
+    /// The face of triangle `lane` of the leaf.
+    #[inline(always)]
+    pub fn face(&self, lane: u32) -> FaceId {
+        self.page.face(self.leaf.first().wrapping_add(lane))
+    }
+
     /// Lanes without those of the triangles to be left out.
     #[inline(always)]
     fn without(&self, skip: Skip, lanes: u32) -> u32 {
@@ -62,7 +83,7 @@ impl Stored<'_> {
         while left != 0 {
             let lane = left.trailing_zeros();
             left &= left - 1;
-            if skip.has(self.page.face(self.leaf.first().wrapping_add(lane))) {
+            if skip.has(self.face(lane)) {
                 kept &= !(1 << lane);
             }
         }
@@ -291,6 +312,31 @@ impl<'a> Collector<'a> for Closest<'a> {
             Best::Settled(best) => (best.crossing.depth[1] as f32).next_up(),
         }
     }
+
+    const FIRST: bool = false;
+
+    #[inline(always)]
+    fn see(&mut self, [lo, hi]: [f32; 2], stored: &Stored<'a>, lane: u32) {
+        self.best = Best::Seen(Seen { lo, hi, stored: *stored, lane });
+    }
+
+    #[inline(always)]
+    fn seen(&self) -> [f32; 2] {
+        match &self.best {
+            Best::Seen(seen) => [seen.lo, seen.hi],
+            Best::None | Best::Settled(_) => [f32::INFINITY; 2],
+        }
+    }
+
+    #[inline(always)]
+    fn has_seen(&self, face: FaceId) -> bool {
+        matches!(&self.best, Best::Seen(seen) if seen.stored.face(seen.lane) == face)
+    }
+
+    #[inline(always)]
+    fn skip(&self) -> Skip {
+        self.skip
+    }
 }
 
 /// Ends at the first hit.
@@ -340,5 +386,27 @@ impl<'a> Collector<'a> for Any<'a> {
     #[inline(always)]
     fn reach(&self) -> f32 {
         f32::INFINITY
+    }
+
+    const FIRST: bool = true;
+
+    #[inline(always)]
+    fn see(&mut self, _: [f32; 2], _: &Stored<'a>, _: u32) {
+        self.found = true;
+    }
+
+    #[inline(always)]
+    fn seen(&self) -> [f32; 2] {
+        [f32::INFINITY; 2]
+    }
+
+    #[inline(always)]
+    fn has_seen(&self, _: FaceId) -> bool {
+        false
+    }
+
+    #[inline(always)]
+    fn skip(&self) -> Skip {
+        self.skip
     }
 }

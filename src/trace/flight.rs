@@ -89,8 +89,8 @@ impl<A: Ask> Job for Flight<'_, '_, A> {
         let mut flying: [Flying<'_, A::Collector<'_>>; RAYS] = std::array::from_fn(|stack| Flying {
             stack,
             saved: Saved::zeroed(),
-            setup: Setup::blank(),
-            shear: Shear::BLANK,
+            setup: Setup::zeroed(),
+            shear: Shear::default(),
             depths: Depths::BLANK,
             view: start.view,
             node: 0,
@@ -101,7 +101,7 @@ impl<A: Ask> Job for Flight<'_, '_, A> {
             leaf: None,
             ray: Ray::new([0.0; 3], [0.0; 3]),
             place: 0,
-            collector: ask.begin(&Ray::new([0.0; 3], [0.0; 3])),
+            collector: ask.begin(0, &rays[0]),
         });
         let mut aloft = 0;
         while aloft < RAYS
@@ -161,7 +161,7 @@ fn launch<'a, K: Kernel, A: Ask>(
         flying.far = setup.far;
         flying.view = start.view;
         (flying.node, flying.left, flying.top, flying.sheared, flying.leaf) = (0, left, 0, false, None);
-        (flying.ray, flying.place, flying.collector) = (*ray, place, ask.begin(ray));
+        (flying.ray, flying.place, flying.collector) = (*ray, place, ask.begin(place, ray));
         return true;
     }
     false

@@ -16,6 +16,7 @@ mod collect;
 mod flight;
 mod linear;
 mod octree;
+mod packet;
 mod setup;
 mod walk;
 

@@ -6,10 +6,10 @@ use super::arch::Isa;
 use super::ask::{Ask, Least, LeastHit, Whether};
 use super::flight::{Flight, STACKS};
 use super::setup::Scene;
-use super::walk::{File, OneByOne, STACK};
+use super::packet::PACKET;
+use super::walk::{Batch, File, SPACE};
 use super::{Counters, Found, Tracer, batch};
 use crate::error::Result;
-use crate::exact::LANES;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
 
@@ -23,6 +23,7 @@ pub struct OctreeTracer<O> {
     scene: Scene,
     isa: Isa,
     in_flight: bool,
+    packets: bool,
 }
 
 impl<O: Borrow<Octree>> OctreeTracer<O> {
@@ -31,7 +32,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         let file = octree.borrow();
         let scene = Scene::new(file.root(), file.bounds(), file.header().depth);
         let in_flight = file.header().file_bytes > CACHED;
-        OctreeTracer { octree, scene, isa: Isa::best(), in_flight }
+        OctreeTracer { octree, scene, isa: Isa::best(), in_flight, packets: true }
     }
 
     /// The same with a given instruction set; the answers are the same, bit for bit.
@@ -43,6 +44,11 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     /// same, bit for bit.
     pub fn with_flight(self, in_flight: bool) -> OctreeTracer<O> {
         OctreeTracer { in_flight, ..self }
+    }
+
+    /// The same, but batches with or without packets of rays that run side by side; the answers are the same, bit for bit.
+    pub fn with_packets(self, packets: bool) -> OctreeTracer<O> {
+        OctreeTracer { packets, ..self }
     }
 
     /// The same, but each node's children far to near: slower, the answers the same, bit for bit. For tests of that.
@@ -79,7 +85,10 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         counters: &mut Counters,
     ) -> Result<()> {
         let file = File::new(self.octree(), &self.scene);
-        STACK.with_borrow_mut(|stack| self.isa.run(OneByOne::<A, N> { ask, rays, answers, file, counters, stack }))?;
+        let packets = self.packets;
+        SPACE.with_borrow_mut(|space| {
+            self.isa.run(Batch::<A, N> { ask, rays, answers, file, counters, space, packets })
+        })?;
         self.octree().fault()
     }
 
@@ -88,7 +97,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         if self.in_flight {
             self.several(ask, rays, answers, counters)
         } else {
-            self.one_by_one::<A, LANES>(ask, rays, answers, counters)
+            self.one_by_one::<A, PACKET>(ask, rays, answers, counters)
         }
     }
 

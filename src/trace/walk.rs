@@ -22,20 +22,16 @@ use super::Counters;
 use super::arch::{Cell, Job, Kernel, Saved};
 use super::ask::Ask;
 use super::collect::{Collector, Next, Place, Stored};
+use super::packet;
 use super::setup::{Scene, Setup};
 use crate::error::Result;
-use crate::exact::{Decision, Depths, Lanes, Line, Shear};
+use crate::exact::{Decision, Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Brick, DEPTH_MAX, Node, PageId};
 use crate::geometry::{FaceId, Ray};
 use crate::map::{Octree, Page};
 
 /// Levels that a walk can need: a node of each depth, of the top and of a page.
 pub(super) const LEVELS: usize = 2 * DEPTH_MAX as usize;
-
-thread_local! {
-    /// Each thread's stack, kept so that a ray allocates nothing.
-    pub(super) static STACK: RefCell<Box<[Level; LEVELS]>> = RefCell::new(Box::new([Level::zeroed(); LEVELS]));
-}
 
 /// A node put aside, with slots left to visit.
 #[derive(Clone, Copy, Zeroable)]
@@ -74,73 +70,108 @@ pub(super) struct File<'a> {
     pub scene: &'a Scene,
 }
 
-/// Rays to be walked one after the other, with whichever kernel is there. N rays at a time (at most 16) are prepared together,
-/// and the answers to them rounded together, since what does not wait for anything goes much faster than the walks between.
-pub(super) struct OneByOne<'a, 'w, A: Ask, const N: usize> {
+/// Rays to be answered with whichever kernel is there, N (1 to 64) at a time: in a packet where they run side by side, else one
+/// after the other. What does not wait for anything, preparing rays and rounding answers, is done for many together, and so goes
+/// much faster than between walks.
+pub(super) struct Batch<'a, 'w, A: Ask, const N: usize> {
     pub ask: A,
     pub rays: &'w [Ray],
     pub answers: &'w mut [A::Answer],
     pub file: File<'a>,
     pub counters: &'w mut Counters,
-    pub stack: &'w mut [Level; LEVELS],
+    pub space: &'w mut Space,
+    /// Whether to look for packets.
+    pub packets: bool,
 }
 
-impl<A: Ask, const N: usize> Job for OneByOne<'_, '_, A, N> {
+/// What a thread keeps, so that rays allocate nothing.
+#[derive(Clone, Copy, Zeroable)]
+#[repr(C)]
+pub(super) struct Space {
+    levels: [Level; LEVELS],
+    crew: [Sight; LANES],
+    packet: packet::Space,
+}
+
+thread_local! {
+    /// Each thread's own.
+    pub(super) static SPACE: RefCell<Box<Space>> = RefCell::new(bytemuck::zeroed_box());
+}
+
+impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
     type Output = Result<()>;
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> Result<()> {
-        let OneByOne { ask, rays, answers, file, counters, stack } = self;
+        let Batch { ask, rays, answers, file, counters, space: Space { levels, crew, packet }, packets } = self;
         counters.rays += rays.len() as u64;
         let start = file.start()?;
         let mut depths = Depths::BLANK;
-        let mut crew: [Sight; N] = [const { Sight::blank() }; N];
+        let mut first = 0;
         for (rays, answers) in rays.chunks(N).zip(answers.chunks_mut(N)) {
-            let mut live = 0u32;
             let last = rays.len() - 1;
-            let mut collectors: [A::Collector<'_>; N] = std::array::from_fn(|i| ask.begin(&rays[i.min(last)]));
-            for (i, (ray, sight)) in rays.iter().zip(&mut crew).enumerate() {
-                if sight.setup.aim(kernel, ray, file.scene) {
-                    let Setup { way, aim, far, .. } = &sight.setup;
-                    let frame = kernel.frame(&start.cell, aim, way);
-                    let (left, near) = kernel.touch(start.view.node(0), frame, way, *far);
-                    kernel.save(&mut sight.saved, frame, near);
-                    sight.left = left;
-                    live |= u32::from(left != 0) << i;
-                    counters.nodes += 1;
+            let mut collectors: [A::Collector<'_>; N] =
+                std::array::from_fn(|i| ask.begin(first + i.min(last), &rays[i.min(last)]));
+            let mut alone = u64::MAX >> (63 - last);
+            let packed = packets && N > 1;
+            if packed {
+                let collectors = &mut collectors[..=last];
+                alone = packet::walk(kernel, &file, &start, rays, collectors, packet, &mut depths, counters)?;
+            }
+            while alone != 0 {
+                let (mut places, mut count, mut live) = ([0; LANES], 0, 0u32);
+                while alone != 0 && count < LANES {
+                    let i = alone.trailing_zeros() as usize % N;
+                    alone &= alone - 1;
+                    let (ray, sight) = (&rays[i], &mut crew[count]);
+                    places[count] = i;
+                    if packed {
+                        collectors[i] = ask.begin(first + i, ray);
+                    }
+                    if sight.setup.aim(kernel, ray, file.scene) {
+                        let Setup { way, aim, far, .. } = &sight.setup;
+                        let frame = kernel.frame(&start.cell, aim, way);
+                        let (left, near) = kernel.touch(start.view.node(0), frame, way, *far);
+                        kernel.save(&mut sight.saved, frame, near);
+                        sight.left = left;
+                        live |= u32::from(left != 0) << count;
+                        counters.nodes += 1;
+                    }
+                    count += 1;
+                }
+                let mut left = live;
+                while left != 0 {
+                    let k = left.trailing_zeros() as usize % LANES;
+                    left &= left - 1;
+                    crew[k].shear = Shear::new(&rays[places[k]], file.scene.bounds);
+                }
+                let mut left = live;
+                while left != 0 {
+                    let k = left.trailing_zeros() as usize % LANES;
+                    left &= left - 1;
+                    let (ray, collector) = (&rays[places[k]], &mut collectors[places[k]]);
+                    file.walk(kernel, levels, &start, ray, &crew[k], &mut depths, collector, counters)?;
                 }
             }
-            let mut left = live;
-            while left != 0 {
-                let i = left.trailing_zeros() as usize % N;
-                left &= left - 1;
-                crew[i].shear = Shear::new(&rays[i], file.scene.bounds);
+            for ((rays, collectors), answers) in
+                rays.chunks(LANES).zip(collectors.chunks(LANES)).zip(answers.chunks_mut(LANES))
+            {
+                A::end(kernel, rays, &collectors[..rays.len()], answers);
             }
-            let mut left = live;
-            while left != 0 {
-                let i = left.trailing_zeros() as usize % N;
-                left &= left - 1;
-                file.walk(kernel, stack, &start, &rays[i], &mut crew[i], &mut depths, &mut collectors[i], counters)?;
-            }
-            A::end(kernel, rays, &collectors[..rays.len()], answers);
+            first += N;
         }
         Ok(())
     }
 }
 
 /// A ray prepared for nodes and for triangles, and the first node: its frame, its slots' entries, and those to visit.
+#[derive(Clone, Copy, Zeroable)]
+#[repr(C)]
 pub(super) struct Sight {
     pub setup: Setup,
     pub shear: Shear,
     pub saved: Saved,
     pub left: u32,
-}
-
-impl Sight {
-    /// One that is yet to be prepared.
-    pub const fn blank() -> Sight {
-        Sight { setup: Setup::blank(), shear: Shear::BLANK, saved: Saved::BLANK, left: 0 }
-    }
 }
 
 /// Where every ray of a file begins.
@@ -173,7 +204,7 @@ impl<'a> File<'a> {
         stack: &mut [Level; LEVELS],
         start: &Start<'a>,
         ray: &Ray,
-        sight: &mut Sight,
+        sight: &Sight,
         depths: &mut Depths,
         collector: &mut impl Collector<'a>,
         counters: &mut Counters,

@@ -395,6 +395,23 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
+    fn planes(self, node: &Node, way: &Way) -> [[__m256; 2]; 3] {
+        // SAFETY: `self` is proof; each set of planes is eight bytes.
+        unsafe {
+            let order = _mm_loadl_epi64(ORDER[usize::from(way.order & 7)].as_ptr().cast());
+            let mut planes = [[_mm256_setzero_ps(); 2]; 3];
+            let mut axis = 0;
+            while axis < 3 {
+                let down = way.mask & (4 >> axis) != 0;
+                let (first, second) = if down { (&node.high, &node.low) } else { (&node.low, &node.high) };
+                planes[axis] = [numbers(first[axis].as_ptr(), order), numbers(second[axis].as_ptr(), order)];
+                axis += 1;
+            }
+            planes
+        }
+    }
+
+    #[inline(always)]
     fn within(self, near: __m256, far: f32) -> u32 {
         // SAFETY: `self` is proof.
         unsafe { within(near, far) }

@@ -14,8 +14,12 @@ mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
 mod scalar;
+mod wide;
 
 use std::sync::OnceLock;
+
+pub(super) use wide::{Row, WIDE, Wide, greatest};
+
 
 use crate::exact::{Depths, LANES, Lanes, Shear};
 use crate::format::{Leaf, Node};
@@ -43,7 +47,7 @@ pub(super) struct Fit {
 }
 
 /// What turns planes into parameters; `setup.rs` explains. The fourth lanes hold anything.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Zeroable)]
 #[repr(C, align(32))]
 pub(super) struct Aim {
     /// p'.
@@ -52,11 +56,6 @@ pub(super) struct Aim {
     pub inv: [f32; 4],
     /// In parameter units.
     pub slack: [f32; 4],
-}
-
-impl Aim {
-    /// Zeros.
-    pub const BLANK: Aim = Aim { origin: [0.0; 4], inv: [0.0; 4], slack: [0.0; 4] };
 }
 
 /// The parameters of a node's frame, axes x, y, z and one unused lane: with the slack of the setup taken off, plane q is
@@ -69,7 +68,7 @@ pub(super) struct Planes {
 }
 
 /// The part of a prepared ray that the node test needs.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Zeroable)]
 #[repr(C, align(16))]
 pub(super) struct Way {
     /// 2^-32 in parameter units: dt of the smallest frame.
@@ -82,11 +81,6 @@ pub(super) struct Way {
     pub order: u8,
     /// The parameter at which the ray begins.
     pub near: f32,
-}
-
-impl Way {
-    /// Zeros.
-    pub const BLANK: Way = Way { least: [0.0; 4], slack: [0.0; 4], mask: 0, order: 0, near: 0.0 };
 }
 
 /// How far a plain ray's origin may be from the root, in root sizes.
@@ -102,11 +96,6 @@ pub(super) struct Saved {
     near: [f32; 8],
     /// As the kernel has it.
     frame: [f32; 16],
-}
-
-impl Saved {
-    /// Zeros.
-    pub const BLANK: Saved = Saved { near: [0.0; 8], frame: [0.0; 16] };
 }
 
 /// Hits whose t, u and v are wanted: triangles, and the rays that are known to hit them; entry i of each axis belongs to hit i.
@@ -131,7 +120,7 @@ pub(super) struct Rounded {
 }
 
 /// The inner loops for one instruction set. A value of the type is proof that the processor has it.
-pub(super) trait Kernel: Copy {
+pub(super) trait Kernel: Wide {
     /// [`Planes`] in registers.
     type Frame: Copy;
     /// Eight lower bounds, in the order of visits: entry i stands for slot i XOR a.
@@ -149,6 +138,9 @@ pub(super) trait Kernel: Copy {
     /// Which slots the ray touches between `way.near` and `far`, a bit an entry in the order of visits, and where they are
     /// entered. Empty slots are left to the caller.
     fn touch(self, node: &Node, frame: Self::Frame, way: &Way, far: f32) -> (u32, Self::Near);
+    /// For each axis the planes by which slots are entered, in the order of visits, and behind these eight those by which they are
+    /// left, in units of the node's frame.
+    fn planes(self, node: &Node, way: &Way) -> [Self::Floats; 3];
     /// A bit for each of the entries that is not beyond `far`.
     fn within(self, near: Self::Near, far: f32) -> u32;
     /// The frame of the inner child in `slot` (0..8); FORMAT.md, "Frame".

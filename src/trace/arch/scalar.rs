@@ -85,6 +85,18 @@ impl Kernel for Scalar {
     }
 
     #[inline(always)]
+    fn planes(self, node: &Node, way: &Way) -> [[f32; 16]; 3] {
+        std::array::from_fn(|axis| {
+            let down = way.mask & (4 >> axis) != 0;
+            let (first, second) = if down { (&node.high, &node.low) } else { (&node.low, &node.high) };
+            std::array::from_fn(|i| {
+                let slot = i & 7 ^ usize::from(way.order & 7);
+                f32::from(if i < 8 { first[axis][slot] } else { second[axis][slot] })
+            })
+        })
+    }
+
+    #[inline(always)]
     fn within(self, near: [f32; 8], far: f32) -> u32 {
         (0..8).fold(0, |bits, i| bits | u32::from(near[i] <= far) << i)
     }

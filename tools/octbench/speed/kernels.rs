@@ -27,14 +27,20 @@ pub const KERNELS: &[Kernel] = &[
     Kernel {
         name: "single",
         float_of: None,
-        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(false).closest_batch(rays, hits)),
-        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(false).any_batch(rays, blocked)),
+        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(false).with_packets(false).closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(false).with_packets(false).any_batch(rays, blocked)),
     },
     Kernel {
         name: "flight",
         float_of: None,
-        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(true).closest_batch(rays, hits)),
-        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(true).any_batch(rays, blocked)),
+        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(true).with_packets(false).closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(true).with_packets(false).any_batch(rays, blocked)),
+    },
+    Kernel {
+        name: "packet",
+        float_of: None,
+        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(false).with_packets(true).closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(false).with_packets(true).any_batch(rays, blocked)),
     },
 ];
 
