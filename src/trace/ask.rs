@@ -15,8 +15,21 @@ pub(super) trait Ask {
     const NOTHING: Self::Answer;
     /// For ray `i` of those that are asked about.
     fn begin<'a>(&self, i: usize, ray: &Ray) -> Self::Collector<'a>;
-    /// The answers to up to 16 rays whose walks are over; each slice has as many entries.
-    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Self::Collector<'_>], answers: &mut [Self::Answer]);
+    /// Whether any hit will do.
+    const FIRST: bool;
+    /// What ray `i` leaves out.
+    fn skip(&self, i: usize) -> Skip;
+    /// The answer where a packet made a hit; with [`Ask::FIRST`] it is enough that there is one.
+    fn answer(found: Found) -> Self::Answer;
+    /// Gives the answers to up to 16 rays whose walks are over, each with its number among `rays` and `collectors`.
+    fn end<K: Kernel>(
+        kernel: K,
+        rays: &[Ray],
+        collectors: &[Self::Collector<'_>],
+        give: impl FnMut(usize, Self::Answer),
+    );
+    /// One that is never asked.
+    fn idle<'a>() -> Self::Collector<'a>;
 }
 
 /// The closest hit, after `last` if that is given.
@@ -36,10 +49,27 @@ impl Ask for Least<'_> {
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], answers: &mut [Option<Found>]) {
+    fn answer(found: Found) -> Option<Found> {
+        Some(found)
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Closest<'a> {
+        Closest::new(Skip::NONE)
+    }
+
+    const FIRST: bool = false;
+
+    #[inline(always)]
+    fn skip(&self, _: usize) -> Skip {
+        self.skip
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], mut give: impl FnMut(usize, Option<Found>)) {
         let rounding = Rounding::of(kernel, rays, collectors);
-        for (i, ((ray, collector), answer)) in rays.iter().zip(collectors).zip(answers).enumerate() {
-            *answer = collector.found(ray, rounding.get(i));
+        for (i, (ray, collector)) in rays.iter().zip(collectors).enumerate() {
+            give(i, collector.found(ray, rounding.get(i)));
         }
     }
 }
@@ -58,13 +88,27 @@ impl Ask for LeastHit {
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], answers: &mut [Hit]) {
+    fn answer(found: Found) -> Hit {
+        found.hit
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Closest<'a> {
+        Closest::new(Skip::NONE)
+    }
+
+    const FIRST: bool = false;
+
+    #[inline(always)]
+    fn skip(&self, _: usize) -> Skip {
+        Skip::NONE
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], mut give: impl FnMut(usize, Hit)) {
         let rounding = Rounding::of(kernel, rays, collectors);
-        for (i, ((ray, collector), answer)) in rays.iter().zip(collectors).zip(answers).enumerate() {
-            *answer = match collector.found(ray, rounding.get(i)) {
-                Some(found) => found.hit,
-                None => Hit::MISS,
-            };
+        for (i, (ray, collector)) in rays.iter().zip(collectors).enumerate() {
+            give(i, collector.hit(ray, rounding.get(i)));
         }
     }
 }
@@ -83,9 +127,26 @@ impl Ask for Whether {
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(_: K, _: &[Ray], collectors: &[Any<'_>], answers: &mut [bool]) {
-        for (collector, answer) in collectors.iter().zip(answers) {
-            *answer = collector.found;
+    fn answer(_: Found) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Any<'a> {
+        Any::new(Skip::NONE)
+    }
+
+    const FIRST: bool = true;
+
+    #[inline(always)]
+    fn skip(&self, _: usize) -> Skip {
+        self.0
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(_: K, _: &[Ray], collectors: &[Any<'_>], mut give: impl FnMut(usize, bool)) {
+        for (i, collector) in collectors.iter().enumerate() {
+            give(i, collector.found);
         }
     }
 }

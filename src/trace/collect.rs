@@ -41,21 +41,6 @@ pub(super) trait Collector<'a> {
 
     /// An upper bound of the t of any hit that still matters.
     fn reach(&self) -> f32;
-
-    /// Whether any hit ends the search.
-    const FIRST: bool;
-
-    /// Takes triangle `lane` of a leaf, which is certainly hit within the interval and before all that was seen, its t between two bounds.
-    fn see(&mut self, bounds: [f32; 2], stored: &Stored<'a>, lane: u32);
-
-    /// The bounds that were given to [`Collector::see`] last, or found by [`Collector::glance`]; infinite where nothing was seen.
-    fn seen(&self) -> [f32; 2];
-
-    /// Whether the hit that was seen last is of that face.
-    fn has_seen(&self, face: FaceId) -> bool;
-
-    /// The faces that do not count.
-    fn skip(&self) -> Skip;
 }
 
 /// A leaf, and where it is.
@@ -176,14 +161,15 @@ impl Rounding {
                     break;
                 };
                 let block = &mut this.block;
-                (block.a[axis][count], block.b[axis][count], block.c[axis][count]) = (xa, xb, xc);
-                (block.origin[axis][count], block.direction[axis][count]) = (ray.origin[axis], ray.direction[axis]);
+                (block.a[axis].0[count], block.b[axis].0[count], block.c[axis].0[count]) = (xa, xb, xc);
+                block.origin[axis].0[count] = ray.origin[axis];
+                block.direction[axis].0[count] = ray.direction[axis];
             }
             this.inside |= u32::from(whole) << i;
             count += usize::from(whole);
         }
         if count > 0 {
-            kernel.rounded(&this.block, count, &mut this.rounded);
+            kernel.rounded(&this.block, u32::MAX >> (32 - count), &mut this.rounded);
         }
         this
     }
@@ -193,7 +179,7 @@ impl Rounding {
     pub fn get(&self, i: usize) -> Option<[f32; 3]> {
         let lane = (self.inside & !(u32::MAX << (i & 31))).count_ones() as usize & (LANES - 1);
         let certain = self.inside >> (i & 31) & self.rounded.certain >> lane & 1 != 0;
-        certain.then_some([self.rounded.t[lane], self.rounded.u[lane], self.rounded.v[lane]])
+        certain.then_some([self.rounded.t.0[lane], self.rounded.u.0[lane], self.rounded.v.0[lane]])
     }
 }
 
@@ -229,8 +215,27 @@ impl<'a> Closest<'a> {
         }
     }
 
+    /// The hit alone of the answer.
+    #[inline(always)]
+    pub fn hit(&self, ray: &Ray, rounded: Option<[f32; 3]>) -> Hit {
+        if let Best::None = self.best {
+            return Hit::MISS;
+        }
+        if let (Best::Seen(seen), Some([t, u, v])) = (&self.best, rounded) {
+            let face = seen.stored.face(seen.lane);
+            if face != FaceId::NONE {
+                return Hit { t, face, u, v };
+            }
+        }
+        match self.found_exactly(ray) {
+            Some(found) => found.hit,
+            None => Hit::MISS,
+        }
+    }
+
     /// The same where f64 does not suffice, or the hit was settled before.
     #[cold]
+    #[inline(never)]
     pub fn found_exactly(&self, ray: &Ray) -> Option<Found> {
         let line = Line::new(ray);
         let Settled { crossing, t, face, page, reference } = self.settled(&line)?;
@@ -312,31 +317,6 @@ impl<'a> Collector<'a> for Closest<'a> {
             Best::Settled(best) => (best.crossing.depth[1] as f32).next_up(),
         }
     }
-
-    const FIRST: bool = false;
-
-    #[inline(always)]
-    fn see(&mut self, [lo, hi]: [f32; 2], stored: &Stored<'a>, lane: u32) {
-        self.best = Best::Seen(Seen { lo, hi, stored: *stored, lane });
-    }
-
-    #[inline(always)]
-    fn seen(&self) -> [f32; 2] {
-        match &self.best {
-            Best::Seen(seen) => [seen.lo, seen.hi],
-            Best::None | Best::Settled(_) => [f32::INFINITY; 2],
-        }
-    }
-
-    #[inline(always)]
-    fn has_seen(&self, face: FaceId) -> bool {
-        matches!(&self.best, Best::Seen(seen) if seen.stored.face(seen.lane) == face)
-    }
-
-    #[inline(always)]
-    fn skip(&self) -> Skip {
-        self.skip
-    }
 }
 
 /// Ends at the first hit.
@@ -386,27 +366,5 @@ impl<'a> Collector<'a> for Any<'a> {
     #[inline(always)]
     fn reach(&self) -> f32 {
         f32::INFINITY
-    }
-
-    const FIRST: bool = true;
-
-    #[inline(always)]
-    fn see(&mut self, _: [f32; 2], _: &Stored<'a>, _: u32) {
-        self.found = true;
-    }
-
-    #[inline(always)]
-    fn seen(&self) -> [f32; 2] {
-        [f32::INFINITY; 2]
-    }
-
-    #[inline(always)]
-    fn has_seen(&self, _: FaceId) -> bool {
-        false
-    }
-
-    #[inline(always)]
-    fn skip(&self) -> Skip {
-        self.skip
     }
 }

@@ -118,8 +118,8 @@ impl<A: Ask> Job for Flight<'_, '_, A> {
                     i += 1;
                     continue;
                 }
-                let (place, collector) = (ray.place, std::slice::from_ref(&ray.collector));
-                A::end(kernel, std::slice::from_ref(&ray.ray), collector, &mut answers[place..=place]);
+                let (ended, collector) = (std::slice::from_ref(&ray.ray), std::slice::from_ref(&ray.collector));
+                A::end(kernel, ended, collector, |_, answer| answers[ray.place] = answer);
                 if !launch(kernel, &ask, rays, answers, &mut next, &file, &start, ray, counters) {
                     // The last one takes this place.
                     aloft -= 1;

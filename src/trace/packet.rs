@@ -14,15 +14,18 @@
 
 use bytemuck::Zeroable;
 
-use super::Counters;
-use super::arch::{Aim, Kernel, MODERATE, NEAR, Row, WIDE, Way, greatest};
-use super::collect::{Collector, Next, Stored};
+use glam::Vec3;
+
+use super::arch::{Aim, Block, Kernel, MODERATE, NEAR, Rounded, Row, WIDE, Way, greatest};
+use super::ask::Ask;
+use super::collect::Stored;
 use super::setup::Scene;
 use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Start};
+use super::{Counters, Found};
 use crate::error::Result;
 use crate::exact::{Depths, Shear};
-use crate::format::{Frame, Node};
-use crate::geometry::{Ray, Skip};
+use crate::format::{Frame, Node, PageId};
+use crate::geometry::{FaceId, Hit, Ray, Skip, Triangle};
 
 /// Rays of a packet.
 pub(super) const PACKET: usize = 64;
@@ -39,8 +42,8 @@ const SPREAD: [f32; 2] = [0.25, 0.03125];
 #[derive(Clone, Copy, Zeroable)]
 #[repr(C)]
 struct Group {
-    /// Axes x, y, z.
-    origin: [Row; 3],
+    /// Origins and directions, and the triangles that were hit; axes x, y, z.
+    block: Block,
     /// Root side / direction.
     inv: [Row; 3],
     /// -(origin in root units) * inv.
@@ -57,7 +60,10 @@ struct Group {
     /// Bounds of the t of what was hit.
     lo: Row,
     hi: Row,
-    /// Which triangle of a leaf was hit.
+    /// What was hit: its face, its page, its number there; and meanwhile, in a leaf.
+    face: [u32; WIDE],
+    page: [u32; WIDE],
+    reference: [u32; WIDE],
     which: [u32; WIDE],
 }
 
@@ -104,6 +110,14 @@ struct Common {
     skipping: bool,
 }
 
+/// Rays and what is asked about them.
+pub(super) struct Asked<'r, A> {
+    pub ask: &'r A,
+    /// The number of the first of the rays among those that `ask` knows.
+    pub first: usize,
+    pub rays: &'r [Ray],
+}
+
 /// What becomes of each ray: bits by group.
 struct Rays {
     /// Still looking.
@@ -114,23 +128,25 @@ struct Rays {
     far: f32,
 }
 
-/// Walks up to 64 rays together, the answers into `collectors`; the rays that must be walked alone, bit i for `rays[i]`.
+/// Walks up to 64 rays together and gives their answers, but for those rays that must be walked alone: bit i for `rays[i]`.
 #[inline(always)]
-pub(super) fn walk<'a, K: Kernel, C: Collector<'a>>(
+#[expect(clippy::too_many_arguments, reason = "the state of a batch")]
+pub(super) fn walk<K: Kernel, A: Ask>(
     kernel: K,
-    file: &File<'a>,
-    start: &Start<'a>,
-    rays: &[Ray],
-    collectors: &mut [C],
+    file: &File<'_>,
+    start: &Start<'_>,
+    asked: Asked<'_, A>,
+    answers: &mut [A::Answer],
     space: &mut Space,
     depths: &mut Depths,
     counters: &mut Counters,
 ) -> Result<u64> {
+    let rays = asked.rays;
     let all = u64::MAX >> (64 - rays.len().clamp(1, PACKET));
     let Space { groups, table, levels } = space;
     let Some((common, mut state)) = assemble(kernel, file.scene, rays, groups) else { return Ok(all) };
     let mut common = common;
-    common.skipping = collectors.iter().any(|collector| collector.skip() != Skip::NONE);
+    common.skipping = (0..rays.len()).any(|i| asked.ask.skip(asked.first + i) != Skip::NONE);
     let mask = usize::from(common.way.order & 7);
     let mut view = start.view;
     let (mut corner, mut unit) = (start.cell.corner, start.cell.unit);
@@ -160,7 +176,7 @@ pub(super) fn walk<'a, K: Kernel, C: Collector<'a>>(
         if byte < EMPTY {
             let Some(stored) = file.stored(&view, index, node, byte, counters) else { continue };
             let sides = sides(&common, node, slot, corner, unit);
-            if leaf(kernel, &common, &stored, rays, groups, &sides, &mut state, table, collectors, depths) {
+            if leaf(kernel, &common, &stored, &asked, groups, &sides, &mut state, table, depths) {
                 if state.live == [0; GROUPS] {
                     break 'walk;
                 }
@@ -217,10 +233,44 @@ pub(super) fn walk<'a, K: Kernel, C: Collector<'a>>(
     counters.nodes += nodes;
     counters.bricks += bricks;
     let mut alone = 0;
-    for g in 0..GROUPS {
-        alone |= u64::from(state.unsure[g]) << (WIDE * g);
+    for (g, answers) in answers.chunks_mut(WIDE).enumerate().take(GROUPS) {
+        let unsure = state.unsure[g] | conclude::<K, A>(kernel, &groups[g], !state.unsure[g], answers);
+        alone |= u64::from(unsure) << (WIDE * g);
     }
     Ok(alone & all)
+}
+
+/// Gives the answers to those of sixteen rays whose bit is set; the rays which f64 does not suffice for.
+#[inline(always)]
+fn conclude<K: Kernel, A: Ask>(kernel: K, group: &Group, done: u32, answers: &mut [A::Answer]) -> u32 {
+    // A ray that hit nothing still has its bounds at infinity.
+    let hit = done & kernel.below(kernel.get(&group.lo), kernel.all(f32::INFINITY));
+    let mut rounded = Rounded::zeroed();
+    let block = &group.block;
+    if !A::FIRST && hit != 0 {
+        kernel.rounded(block, hit, &mut rounded);
+    }
+    let mut alone = 0;
+    for (i, answer) in answers.iter_mut().enumerate().take(WIDE) {
+        if done >> i & 1 == 0 {
+            continue;
+        }
+        if hit >> i & 1 == 0 {
+            *answer = A::NOTHING;
+            continue;
+        }
+        // A page that turned to zeros has no faces.
+        if !A::FIRST && (rounded.certain >> i & 1 == 0 || group.face[i] == FaceId::NONE.0) {
+            alone |= 1 << i;
+            continue;
+        }
+        let face = FaceId(group.face[i]);
+        let hit = Hit { t: rounded.t.0[i], face, u: rounded.u.0[i], v: rounded.v.0[i] };
+        let corner = |rows: &[Row; 3]| Vec3::new(rows[0].0[i], rows[1].0[i], rows[2].0[i]);
+        let triangle = Triangle { a: corner(&block.a), b: corner(&block.b), c: corner(&block.c) };
+        *answer = A::answer(Found { hit, triangle, page: PageId(group.page[i]), reference: group.reference[i] });
+    }
+    alone
 }
 
 /// Reads the rays and finds what they have in common; `None` where they are no packet.
@@ -262,21 +312,29 @@ fn assemble<K: Kernel>(
     for (g, sixteen) in rays.chunks(WIDE).enumerate().take(GROUPS) {
         let group = &mut groups[g];
         let present = u32::MAX >> (32 - sixteen.len());
-        let mut directions = [Row::all(1.0); 3];
-        for (i, ray) in sixteen.iter().enumerate() {
-            for axis in 0..3 {
-                group.origin[axis].0[i] = ray.origin[axis];
-                directions[axis].0[i] = ray.direction[axis];
+        let columns = match sixteen.first_chunk() {
+            Some(sixteen) => kernel.columns(sixteen),
+            None => {
+                let mut padded = [*leader; WIDE];
+                padded[..sixteen.len()].copy_from_slice(sixteen);
+                kernel.columns(&padded)
             }
-            group.tmin.0[i] = ray.tmin;
-            group.tmax.0[i] = ray.tmax;
-        }
+        };
+        let [ox, oy, oz, dx, dy, dz, tmin, tmax] = columns;
+        let (origin, direction) = ([ox, oy, oz], [dx, dy, dz]);
+        kernel.put(ox, &mut group.block.origin[0]);
+        kernel.put(oy, &mut group.block.origin[1]);
+        kernel.put(oz, &mut group.block.origin[2]);
+        kernel.put(dx, &mut group.block.direction[0]);
+        kernel.put(dy, &mut group.block.direction[1]);
+        kernel.put(dz, &mut group.block.direction[2]);
+        kernel.put(tmin, &mut group.tmin);
+        kernel.put(tmax, &mut group.tmax);
         let mut ok = present;
-        let direction = [kernel.get(&directions[0]), kernel.get(&directions[1]), kernel.get(&directions[2])];
         let mut place = [most; 3];
         let mut inv = [most; 3];
         for axis in 0..3 {
-            let from = kernel.minus(kernel.get(&group.origin[axis]), kernel.all(split[axis][0]));
+            let from = kernel.minus(origin[axis], kernel.all(split[axis][0]));
             let from = kernel.minus(from, kernel.all(split[axis][1]));
             let p = kernel.times(from, kernel.all(fit.scale as f32));
             ok &= kernel.at_most(kernel.size(p), kernel.all(NEAR as f32));
@@ -291,7 +349,6 @@ fn assemble<K: Kernel>(
             kernel.put(kernel.negative(kernel.times(p, inv[axis])), &mut group.start[axis]);
         }
         let [x, y, z] = axes;
-        let (tmin, tmax) = (kernel.get(&group.tmin), kernel.get(&group.tmax));
         ok &= kernel.at_most(tmin, tmax);
         let slope = [kernel.over(direction[x], direction[z]), kernel.over(direction[y], direction[z])];
         ok &= kernel.at_most(kernel.size(slope[0]), kernel.all(Shear::STEEPEST));
@@ -309,8 +366,7 @@ fn assemble<K: Kernel>(
         kernel.put(most, &mut group.lo);
         kernel.put(most, &mut group.hi);
         for axis in 0..3 {
-            let o = kernel.get(&group.origin[axis]);
-            origins[axis] = widen(kernel, ok, o, origins[axis]);
+            origins[axis] = widen(kernel, ok, origin[axis], origins[axis]);
             places[axis] = widen(kernel, ok, place[axis], places[axis]);
             invs[axis] = widen(kernel, ok, inv[axis], invs[axis]);
         }
@@ -428,16 +484,16 @@ fn meets<K: Kernel>(kernel: K, group: &Group, sides: &[[f32; 2]; 3]) -> u32 {
 
 /// Tests a leaf's triangles; whether anything changed for a ray.
 #[inline(always)]
-fn leaf<'a, K: Kernel, C: Collector<'a>>(
+#[expect(clippy::too_many_arguments, reason = "the state of a walk")]
+fn leaf<K: Kernel, A: Ask>(
     kernel: K,
     common: &Common,
-    stored: &Stored<'a>,
-    rays: &[Ray],
+    stored: &Stored<'_>,
+    asked: &Asked<'_, A>,
     groups: &mut [Group; GROUPS],
     sides: &[[f32; 2]; 3],
     state: &mut Rays,
     table: &mut [[Row; 4]; 32],
-    collectors: &mut [C],
     depths: &mut Depths,
 ) -> bool {
     let mut changed = false;
@@ -450,14 +506,20 @@ fn leaf<'a, K: Kernel, C: Collector<'a>>(
         if active == 0 {
             continue;
         }
-        let first = WIDE * g;
-        let Some(collectors) = collectors.get_mut(first..) else { break };
-        let Some(rays) = rays.get(first..) else { break };
-        changed |= if active.count_ones() <= FEW {
-            one_by_one(kernel, common, stored, rays, active, group, [&mut state.live[g], &mut state.unsure[g]], collectors, depths)
+        let first = asked.first + WIDE * g;
+        let (taken, doubted) = if active.count_ones() <= FEW {
+            one_by_one(kernel, common, stored, (asked.ask, first), active, group, depths)
         } else {
-            together(kernel, common, stored, active, group, [&mut state.live[g], &mut state.unsure[g]], table, collectors)
+            together(kernel, common, stored, (asked.ask, first), active, group, table)
         };
+        changed |= taken | doubted != 0;
+        state.unsure[g] |= doubted;
+        if A::FIRST {
+            state.live[g] &= !taken;
+            state.unsure[g] &= !taken;
+        } else {
+            state.live[g] &= !doubted;
+        }
     }
     if changed {
         let mut far = kernel.all(f32::NEG_INFINITY);
@@ -469,75 +531,104 @@ fn leaf<'a, K: Kernel, C: Collector<'a>>(
     changed
 }
 
-/// Tests all triangles against each ray in turn; whether anything changed.
+/// Tests all triangles against each ray in turn; the rays that were hit nearer, and those in doubt.
 #[inline(always)]
-fn one_by_one<'a, K: Kernel, C: Collector<'a>>(
+fn one_by_one<K: Kernel, A: Ask>(
     kernel: K,
     common: &Common,
-    stored: &Stored<'a>,
-    rays: &[Ray],
+    stored: &Stored<'_>,
+    (ask, first): (&A, usize),
     active: u32,
     group: &mut Group,
-    [live, unsure]: [&mut u32; 2],
-    collectors: &mut [C],
     depths: &mut Depths,
-) -> bool {
-    let mut changed = false;
+) -> (u32, u32) {
+    let (mut taken, mut doubted) = (0, 0);
     let mut rest = active;
     while rest != 0 {
         let i = (rest.trailing_zeros() as usize) & (WIDE - 1);
         rest &= rest - 1;
-        let (Some(collector), Some(ray)) = (collectors.get_mut(i), rays.get(i)) else { break };
-        let origin = common.axes.map(|axis| group.origin[axis.min(2)].0[i]);
+        let [x, y, z] = common.axes;
+        let origin = &group.block.origin;
+        let origin = [origin[x.min(2)].0[i], origin[y.min(2)].0[i], origin[z.min(2)].0[i]];
         let slopes = [group.slopes[0].0[i], group.slopes[1].0[i]];
         let shear = Shear::assembled(common.axes, origin, slopes, group.inverse.0[i], common.bound);
-        let reach = group.hi.0[i];
-        let range = [ray.tmin, if reach < ray.tmax { reach } else { ray.tmax }];
-        let lanes = kernel.classify(&stored.leaf, &shear, range, depths);
-        if lanes.accept | lanes.doubt == 0 {
-            continue;
-        }
-        match collector.glance(ray, lanes, depths, stored) {
-            Some(Next::On) => {}
-            Some(Next::Nearer) => {
-                changed = true;
-                [group.lo.0[i], group.hi.0[i]] = collector.seen();
-                group.far.0[i] = if group.hi.0[i] < group.far.0[i] { group.hi.0[i] } else { group.far.0[i] };
+        let (tmin, tmax, before, reach) = (group.tmin.0[i], group.tmax.0[i], group.lo.0[i], group.hi.0[i]);
+        let lanes = kernel.classify(&stored.leaf, &shear, [tmin, if reach < tmax { reach } else { tmax }], depths);
+        let mut doubt = lanes.doubt != 0;
+        // The nearest, as long as the bounds tell; NaN compares false.
+        let (mut lo, mut hi, mut lane) = (f32::INFINITY, f32::INFINITY, None);
+        let mut accepted = lanes.accept;
+        while accepted != 0 {
+            let j = accepted.trailing_zeros() & 15;
+            accepted &= accepted - 1;
+            if common.skipping && ask.skip(first + i).has(stored.face(j)) {
+                continue;
             }
-            Some(Next::Done) => {
-                changed = true;
-                *live &= !(1 << i);
-                *unsure &= !(1 << i);
-            }
-            None => {
-                *unsure |= 1 << i;
-                if !C::FIRST {
-                    changed = true;
-                    *live &= !(1 << i);
-                }
+            let (l, h) = (depths.lo[j as usize], depths.hi[j as usize]);
+            if l > tmin && h < tmax && h < lo {
+                (lo, hi, lane) = (l, h, Some(j));
+            } else if !(l > hi) {
+                doubt = true;
             }
         }
+        if let Some(j) = lane {
+            if hi < before {
+                (group.lo.0[i], group.hi.0[i], group.which[i]) = (lo, hi, j);
+                taken |= 1 << i;
+            } else if !(lo > reach) {
+                // The same triangle, stored in several leaves, has the same bounds.
+                doubt |= !(lo == before && hi == reach && group.face[i] == stored.face(j).0);
+            }
+        }
+        doubted |= u32::from(doubt) << i;
     }
-    changed
+    keep(stored, group, if A::FIRST { 0 } else { taken & !doubted });
+    (taken, doubted)
 }
 
-/// Tests each triangle against all rays, the same operations as [`Shear::classify`]; whether anything changed.
+/// Keeps the triangles that rays hit.
 #[inline(always)]
-fn together<'a, K: Kernel, C: Collector<'a>>(
+fn keep(stored: &Stored<'_>, group: &mut Group, taken: u32) {
+    let leaf = &stored.leaf;
+    let (x, y, z) = (leaf.coordinates(0), leaf.coordinates(1), leaf.coordinates(2));
+    let mut last = (u32::MAX, FaceId::NONE);
+    let mut rest = taken;
+    while rest != 0 {
+        let i = rest.trailing_zeros() as usize & (WIDE - 1);
+        rest &= rest - 1;
+        let j = group.which[i];
+        let [a, b, c] = leaf.corners(j as usize);
+        for (rows, k) in [(&mut group.block.a, a), (&mut group.block.b, b), (&mut group.block.c, c)] {
+            let (Some(&x), Some(&y), Some(&z)) = (x.get(k), y.get(k), z.get(k)) else { continue };
+            (rows[0].0[i], rows[1].0[i], rows[2].0[i]) = (x, y, z);
+        }
+        if j != last.0 {
+            last = (j, stored.face(j));
+        }
+        group.face[i] = last.1.0;
+        group.page[i] = stored.id.0;
+        group.reference[i] = leaf.first().wrapping_add(j);
+        let reach = group.hi.0[i];
+        group.far.0[i] = if reach < group.far.0[i] { reach } else { group.far.0[i] };
+    }
+}
+
+/// Tests each triangle against all rays, much as [`Shear::classify`] does; the rays that were hit nearer, and those in doubt.
+#[inline(always)]
+fn together<K: Kernel, A: Ask>(
     kernel: K,
     common: &Common,
-    stored: &Stored<'a>,
+    stored: &Stored<'_>,
+    (ask, first): (&A, usize),
     active: u32,
     group: &mut Group,
-    [live, unsure]: [&mut u32; 2],
     table: &mut [[Row; 4]; 32],
-    collectors: &mut [C],
-) -> bool {
+) -> (u32, u32) {
     let leaf = &stored.leaf;
     let [ax, ay, az] = common.axes.map(|axis| axis.min(2));
     let (xs, ys, zs) = (leaf.coordinates(ax), leaf.coordinates(ay), leaf.coordinates(az));
     let (ox, oy, oz) =
-        (kernel.get(&group.origin[ax]), kernel.get(&group.origin[ay]), kernel.get(&group.origin[az]));
+        (kernel.get(&group.block.origin[ax]), kernel.get(&group.block.origin[ay]), kernel.get(&group.block.origin[az]));
     let (sx, sy) = (kernel.get(&group.slopes[0]), kernel.get(&group.slopes[1]));
     for (row, ((&x, &y), &z)) in table.iter_mut().zip(xs.iter().zip(ys).zip(zs)) {
         let depth = kernel.minus(kernel.all(z), oz);
@@ -595,19 +686,19 @@ fn together<'a, K: Kernel, C: Collector<'a>>(
             let inside = kernel.below(tmin, l) & kernel.below(h, tmax);
             let mut counts = hit & !outside;
             if common.skipping && counts != 0 {
-                counts = without(stored, j, counts, collectors);
+                counts = without(stored, j, counts, (ask, first));
             }
             take = counts & inside & kernel.below(h, lo);
             let mut tied = counts & !take;
             if tied != 0 {
                 // The same triangle, stored in several leaves, has the same bounds.
-                tied &= !(kernel.at_most(l, lo) & kernel.at_most(lo, l) & same(stored, j, tied, collectors));
+                tied &= !(kernel.at_most(l, lo) & kernel.at_most(lo, l) & same(stored, j, tied, group));
             }
             doubt |= tied;
             lo = kernel.choose(take, l, lo);
             hi = kernel.choose(take, h, hi);
         }
-        if C::FIRST {
+        if A::FIRST {
             going &= !take;
         } else {
             going &= !doubt;
@@ -622,36 +713,19 @@ fn together<'a, K: Kernel, C: Collector<'a>>(
     }
     kernel.put(lo, &mut group.lo);
     kernel.put(hi, &mut group.hi);
-    let far = kernel.get(&group.far);
-    kernel.put(kernel.choose(taken, kernel.lesser(hi, far), far), &mut group.far);
-    *unsure |= doubtful;
-    if C::FIRST {
-        *live &= !taken;
-        *unsure &= !taken;
-    } else {
-        *live &= !doubtful;
-        taken &= !doubtful;
-    }
-    let mut rest = taken;
-    while rest != 0 {
-        let i = rest.trailing_zeros() as usize & (WIDE - 1);
-        rest &= rest - 1;
-        if let Some(collector) = collectors.get_mut(i) {
-            collector.see([group.lo.0[i], group.hi.0[i]], stored, group.which[i]);
-        }
-    }
-    taken | doubtful != 0
+    keep(stored, group, if A::FIRST { 0 } else { taken & !doubtful });
+    (taken, doubtful)
 }
 
 /// Rays without those that leave a triangle out.
 #[inline(always)]
-fn without<'a, C: Collector<'a>>(stored: &Stored<'a>, j: usize, bits: u32, collectors: &[C]) -> u32 {
+fn without<A: Ask>(stored: &Stored<'_>, j: usize, bits: u32, (ask, first): (&A, usize)) -> u32 {
     let face = stored.face(j as u32);
     let (mut rest, mut kept) = (bits, bits);
     while rest != 0 {
         let i = rest.trailing_zeros();
         rest &= rest - 1;
-        if collectors.get(i as usize).is_none_or(|collector| collector.skip().has(face)) {
+        if ask.skip(first + i as usize).has(face) {
             kept &= !(1 << i);
         }
     }
@@ -660,15 +734,13 @@ fn without<'a, C: Collector<'a>>(stored: &Stored<'a>, j: usize, bits: u32, colle
 
 /// Which of the rays have already seen a triangle of that face.
 #[inline(never)]
-fn same<'a, C: Collector<'a>>(stored: &Stored<'a>, j: usize, bits: u32, collectors: &[C]) -> u32 {
+fn same(stored: &Stored<'_>, j: usize, bits: u32, group: &Group) -> u32 {
     let face = stored.face(j as u32);
     let (mut rest, mut same) = (bits, 0);
     while rest != 0 {
         let i = rest.trailing_zeros();
         rest &= rest - 1;
-        if collectors.get(i as usize).is_some_and(|collector| collector.has_seen(face)) {
-            same |= 1 << i;
-        }
+        same |= u32::from(group.face[i as usize & (WIDE - 1)] == face.0) << i;
     }
     same
 }

@@ -110,25 +110,21 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
         let mut first = 0;
         for (rays, answers) in rays.chunks(N).zip(answers.chunks_mut(N)) {
             let last = rays.len() - 1;
-            let mut collectors: [A::Collector<'_>; N] =
-                std::array::from_fn(|i| ask.begin(first + i.min(last), &rays[i.min(last)]));
             let mut alone = u64::MAX >> (63 - last);
-            let packed = packets && N > 1;
-            if packed {
-                let collectors = &mut collectors[..=last];
-                alone = packet::walk(kernel, &file, &start, rays, collectors, packet, &mut depths, counters)?;
+            if packets && N > 1 {
+                let asked = packet::Asked { ask: &ask, first, rays };
+                alone = packet::walk(kernel, &file, &start, asked, answers, packet, &mut depths, counters)?;
             }
             while alone != 0 {
                 let (mut places, mut count, mut live) = ([0; LANES], 0, 0u32);
+                let mut those = [rays[0]; LANES];
                 while alone != 0 && count < LANES {
                     let i = alone.trailing_zeros() as usize % N;
                     alone &= alone - 1;
-                    let (ray, sight) = (&rays[i], &mut crew[count]);
+                    let sight = &mut crew[count];
                     places[count] = i;
-                    if packed {
-                        collectors[i] = ask.begin(first + i, ray);
-                    }
-                    if sight.setup.aim(kernel, ray, file.scene) {
+                    those[count] = rays[i];
+                    if sight.setup.aim(kernel, &those[count], file.scene) {
                         let Setup { way, aim, far, .. } = &sight.setup;
                         let frame = kernel.frame(&start.cell, aim, way);
                         let (left, near) = kernel.touch(start.view.node(0), frame, way, *far);
@@ -143,20 +139,17 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
                 while left != 0 {
                     let k = left.trailing_zeros() as usize % LANES;
                     left &= left - 1;
-                    crew[k].shear = Shear::new(&rays[places[k]], file.scene.bounds);
+                    crew[k].shear = Shear::new(&those[k], file.scene.bounds);
                 }
+                let mut collectors: [A::Collector<'_>; LANES] =
+                    std::array::from_fn(|k| if k < count { ask.begin(first + places[k], &those[k]) } else { A::idle() });
                 let mut left = live;
                 while left != 0 {
                     let k = left.trailing_zeros() as usize % LANES;
                     left &= left - 1;
-                    let (ray, collector) = (&rays[places[k]], &mut collectors[places[k]]);
-                    file.walk(kernel, levels, &start, ray, &crew[k], &mut depths, collector, counters)?;
+                    file.walk(kernel, levels, &start, &those[k], &crew[k], &mut depths, &mut collectors[k], counters)?;
                 }
-            }
-            for ((rays, collectors), answers) in
-                rays.chunks(LANES).zip(collectors.chunks(LANES)).zip(answers.chunks_mut(LANES))
-            {
-                A::end(kernel, rays, &collectors[..rays.len()], answers);
+                A::end(kernel, &those[..count], &collectors[..count], |k, answer| answers[places[k]] = answer);
             }
             first += N;
         }

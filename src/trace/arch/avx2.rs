@@ -2,9 +2,9 @@
 
 use std::arch::x86_64::*;
 
-use super::scalar;
+use super::{round, scalar};
 use super::{Aim, Block, Cell, Fit, Job, Kernel, MODERATE, NEAR, Rounded, Saved, Way};
-use crate::exact::{Depths, LANES, Lanes, Shear, U};
+use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{self, Coding, Leaf, Node};
 use crate::geometry::Ray;
 
@@ -191,116 +191,6 @@ pub(super) unsafe fn begin(cell: &Cell, aim: &Aim) -> [__m128; 2] {
     }
 }
 
-/// [`Line::rounded`](crate::exact::Line::rounded) for the first `count` hits of a block, four at a time, shared with AVX-512.
-///
-/// # Safety
-/// AVX2 and FMA must be there.
-#[inline(always)]
-pub(super) unsafe fn rounded(block: &Block, count: usize, rounded: &mut Rounded) {
-    rounded.certain = 0;
-    let mut first = 0;
-    while first < count.min(LANES) {
-        // SAFETY: the caller vouches for the instructions; first is 0, 4, 8 or 12, so that four of 16 floats follow.
-        unsafe {
-            let (a, b, c) = (wide(&block.a, first), wide(&block.b, first), wide(&block.c, first));
-            let (o, d) = (wide(&block.origin, first), wide(&block.direction, first));
-            let (ao, ab, ca) = (minus(a, o), minus(b, a), minus(a, c));
-            let (v, v_size) = determinant(minus(c, o), ca, d);
-            let (w, w_size) = determinant(ao, ab, d);
-            let (u, u_size) = determinant(minus(b, o), minus(c, b), d);
-            let (t, t_size) = determinant(ca, ab, ao);
-            let (sign, few) = (_mm256_set1_pd(-0.0), _mm256_set1_pd(4.0 * U));
-            let nine = _mm256_set1_pd(9.0 * U);
-            let (u_error, v_error) = (_mm256_mul_pd(u_size, nine), _mm256_mul_pd(v_size, nine));
-            let (w_error, t_error) = (_mm256_mul_pd(w_size, nine), _mm256_mul_pd(t_size, nine));
-            let sizes = _mm256_add_pd(_mm256_andnot_pd(sign, u), _mm256_andnot_pd(sign, v));
-            let sizes = _mm256_add_pd(sizes, _mm256_andnot_pd(sign, w));
-            let den = _mm256_add_pd(_mm256_add_pd(v, w), u);
-            let den_error = _mm256_add_pd(_mm256_add_pd(v_error, w_error), _mm256_fmadd_pd(few, sizes, u_error));
-            let inverse = _mm256_div_pd(_mm256_set1_pd(1.0), den);
-            let half = _mm256_andnot_pd(sign, den);
-            let sure = _mm256_cmp_pd::<_CMP_GT_OQ>(half, _mm256_add_pd(den_error, den_error));
-            let mut certain = _mm256_movemask_pd(sure);
-            certain &= share([t, t_error], [inverse, den_error], rounded.t.as_mut_ptr().add(first));
-            certain &= share([v, v_error], [inverse, den_error], rounded.u.as_mut_ptr().add(first));
-            certain &= share([w, w_error], [inverse, den_error], rounded.v.as_mut_ptr().add(first));
-            rounded.certain |= (certain as u32) << first;
-        }
-        first += 4;
-    }
-    rounded.certain &= u32::MAX >> (32 - count.clamp(1, LANES));
-}
-
-/// Four quotients rounded, and which of them are certain; `error` bounds that of `value`, `den_error` that of the divisor.
-///
-/// # Safety
-/// AVX and FMA must be there, and four floats at `to`.
-#[inline(always)]
-unsafe fn share([value, error]: [__m256d; 2], [inverse, den_error]: [__m256d; 2], to: *mut f32) -> i32 {
-    // SAFETY: as the caller vouches.
-    unsafe {
-        let sign = _mm256_set1_pd(-0.0);
-        let quotient = _mm256_mul_pd(value, inverse);
-        let size = _mm256_andnot_pd(sign, quotient);
-        let bound = _mm256_mul_pd(_mm256_fmadd_pd(size, den_error, error), _mm256_andnot_pd(sign, inverse));
-        let bound = _mm256_fmadd_pd(bound, _mm256_set1_pd(2.25), _mm256_mul_pd(size, _mm256_set1_pd(4.0 * U)));
-        let low = _mm256_cvtpd_ps(_mm256_sub_pd(quotient, bound));
-        let high = _mm256_cvtpd_ps(_mm256_add_pd(quotient, bound));
-        // Adding +0 turns -0 into +0.
-        _mm_storeu_ps(to, _mm_add_ps(low, _mm_setzero_ps()));
-        _mm_movemask_ps(_mm_cmp_ps::<_CMP_EQ_OQ>(low, high))
-    }
-}
-
-/// Four points of a block, from number `first` on.
-///
-/// # Safety
-/// AVX must be there, and four points from `first` on.
-#[inline(always)]
-unsafe fn wide(points: &[[f32; LANES]; 3], first: usize) -> [__m256d; 3] {
-    // SAFETY: as the caller vouches.
-    unsafe {
-        [
-            _mm256_cvtps_pd(_mm_loadu_ps(points[0].as_ptr().add(first))),
-            _mm256_cvtps_pd(_mm_loadu_ps(points[1].as_ptr().add(first))),
-            _mm256_cvtps_pd(_mm_loadu_ps(points[2].as_ptr().add(first))),
-        ]
-    }
-}
-
-/// Differences.
-///
-/// # Safety
-/// AVX must be there.
-#[inline(always)]
-unsafe fn minus(p: [__m256d; 3], q: [__m256d; 3]) -> [__m256d; 3] {
-    // SAFETY: as the caller vouches.
-    unsafe { [_mm256_sub_pd(p[0], q[0]), _mm256_sub_pd(p[1], q[1]), _mm256_sub_pd(p[2], q[2])] }
-}
-
-/// (p x q) . r, and its permanent.
-///
-/// # Safety
-/// AVX and FMA must be there.
-#[inline(always)]
-unsafe fn determinant(p: [__m256d; 3], q: [__m256d; 3], r: [__m256d; 3]) -> (__m256d, __m256d) {
-    // SAFETY: as the caller vouches.
-    unsafe {
-        let sign = _mm256_set1_pd(-0.0);
-        let (mut value, mut permanent) = (_mm256_setzero_pd(), _mm256_setzero_pd());
-        let mut i = 0;
-        while i < 3 {
-            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
-            let (plus, less) = (_mm256_mul_pd(p[j], q[k]), _mm256_mul_pd(p[k], q[j]));
-            value = _mm256_fmadd_pd(_mm256_sub_pd(plus, less), r[i], value);
-            let sizes = _mm256_add_pd(_mm256_andnot_pd(sign, plus), _mm256_andnot_pd(sign, less));
-            permanent = _mm256_fmadd_pd(sizes, _mm256_andnot_pd(sign, r[i]), permanent);
-            i += 1;
-        }
-        (value, permanent)
-    }
-}
-
 /// Puts a node aside.
 ///
 /// # Safety
@@ -444,9 +334,9 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn rounded(self, block: &Block, count: usize, to: &mut Rounded) {
+    fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded) {
         // SAFETY: `self` is proof.
-        unsafe { rounded(block, count, to) }
+        unsafe { round::avx2::rounded(block, wanted, to) }
     }
 }
 

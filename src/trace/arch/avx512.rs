@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Aim, Block, Cell, Fit, Job, Kernel, Rounded, Saved, Way, avx2, scalar};
+use super::{Aim, Block, Cell, Fit, Job, Kernel, Rounded, Saved, Way, avx2, round, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
 use crate::geometry::Ray;
@@ -214,9 +214,9 @@ impl Kernel for Avx512 {
     }
 
     #[inline(always)]
-    fn rounded(self, block: &Block, count: usize, to: &mut Rounded) {
+    fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded) {
         // SAFETY: `self` is proof.
-        unsafe { avx2::rounded(block, count, to) }
+        unsafe { round::avx512::rounded(block, wanted, to) }
     }
 }
 

@@ -13,6 +13,8 @@
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod round;
 mod scalar;
 mod wide;
 
@@ -21,7 +23,7 @@ use std::sync::OnceLock;
 pub(super) use wide::{Row, WIDE, Wide, greatest};
 
 
-use crate::exact::{Depths, LANES, Lanes, Shear};
+use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Leaf, Node};
 use crate::geometry::Ray;
 
@@ -102,20 +104,20 @@ pub(super) struct Saved {
 #[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Block {
-    pub a: [[f32; LANES]; 3],
-    pub b: [[f32; LANES]; 3],
-    pub c: [[f32; LANES]; 3],
-    pub origin: [[f32; LANES]; 3],
-    pub direction: [[f32; LANES]; 3],
+    pub a: [Row; 3],
+    pub b: [Row; 3],
+    pub c: [Row; 3],
+    pub origin: [Row; 3],
+    pub direction: [Row; 3],
 }
 
 /// The t, u and v of a block's hits; those whose bit is set in `certain` are correctly rounded, others hold anything.
 #[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Rounded {
-    pub t: [f32; LANES],
-    pub u: [f32; LANES],
-    pub v: [f32; LANES],
+    pub t: Row,
+    pub u: Row,
+    pub v: Row,
     pub certain: u32,
 }
 
@@ -147,8 +149,8 @@ pub(super) trait Kernel: Wide {
     fn child(self, frame: Self::Frame, node: &Node, slot: usize, way: &Way) -> Self::Frame;
     /// The filter's word on each triangle of a leaf; as [`Shear::classify`].
     fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes;
-    /// t, u, v of the first `count` (1 to 16) hits of a block, each as [`Line::rounded`](crate::exact::Line::rounded).
-    fn rounded(self, block: &Block, count: usize, to: &mut Rounded);
+    /// t, u, v of those hits of a block whose bit is set in `wanted`, each as [`Line::rounded`](crate::exact::Line::rounded).
+    fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded);
 }
 
 /// Something to be done with whichever kernel is there.

@@ -2,7 +2,7 @@
 
 use glam::Vec3;
 
-use super::{Aim, Block, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Rounded, Saved, Way};
+use super::{Aim, Block, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Rounded, Row, Saved, WIDE, Way};
 use crate::exact::{Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Coding, Frame, Leaf, Node};
 use crate::geometry::{Ray, Triangle};
@@ -120,16 +120,16 @@ impl Kernel for Scalar {
     }
 
     #[inline(always)]
-    fn rounded(self, block: &Block, count: usize, to: &mut Rounded) {
+    fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded) {
         to.certain = 0;
-        for i in 0..count.min(LANES) {
-            let of = |points: &[[f32; LANES]; 3]| [points[0][i], points[1][i], points[2][i]];
+        for i in (0..WIDE).filter(|i| wanted >> i & 1 != 0) {
+            let of = |points: &[Row; 3]| [points[0].0[i], points[1].0[i], points[2].0[i]];
             let corner = |points| Vec3::from_array(of(points));
             let triangle = Triangle { a: corner(&block.a), b: corner(&block.b), c: corner(&block.c) };
             let line = Line::new(&Ray::new(of(&block.origin), of(&block.direction)));
             if let Some([t, u, v]) = line.rounded(&triangle) {
                 to.certain |= 1 << i;
-                (to.t[i], to.u[i], to.v[i]) = (t, u, v);
+                (to.t.0[i], to.u.0[i], to.v.0[i]) = (t, u, v);
             }
         }
     }

@@ -61,14 +61,15 @@ impl Job for Leaves<'_> {
             let place = j % 16;
             for axis in 0..3 {
                 for i in 0..16 {
-                    (block.a[axis][i], block.b[axis][i], block.c[axis][i]) = (t.a[axis], t.b[axis], t.c[axis]);
-                    (block.origin[axis][i], block.direction[axis][i]) = (ray.origin[axis], ray.direction[axis]);
+                    (block.a[axis].0[i], block.b[axis].0[i], block.c[axis].0[i]) = (t.a[axis], t.b[axis], t.c[axis]);
+                    (block.origin[axis].0[i], block.direction[axis].0[i]) = (ray.origin[axis], ray.direction[axis]);
                 }
             }
-            kernel.rounded(&block, place + 1, &mut rounded);
-            assert_eq!(rounded.certain >> (place + 1), 0);
+            let wanted = 1 << place | 1;
+            kernel.rounded(&block, wanted, &mut rounded);
+            assert_eq!(rounded.certain & !wanted, 0);
             let certain = rounded.certain >> place & 1 != 0;
-            certain.then_some([rounded.t[place], rounded.u[place], rounded.v[place]])
+            certain.then_some([rounded.t.0[place], rounded.u.0[place], rounded.v.0[place]])
         });
         (lanes, depths, rounded.collect())
     }

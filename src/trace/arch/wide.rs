@@ -6,6 +6,7 @@ use std::arch::x86_64::*;
 use super::scalar::Scalar;
 #[cfg(target_arch = "x86_64")]
 use super::{avx2::Avx2, avx512::Avx512};
+use crate::geometry::Ray;
 
 /// Lanes.
 pub(in crate::trace) const WIDE: usize = 16;
@@ -14,13 +15,6 @@ pub(in crate::trace) const WIDE: usize = 16;
 #[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 #[repr(C, align(64))]
 pub(in crate::trace) struct Row(pub [f32; WIDE]);
-
-impl Row {
-    /// The same number in all lanes.
-    pub const fn all(x: f32) -> Row {
-        Row([x; WIDE])
-    }
-}
 
 /// Arithmetic on sixteen f32, each operation rounded as IEEE has it. Comparisons give a bit a lane, 0 where an operand is NaN.
 pub(in crate::trace) trait Wide: Copy {
@@ -52,6 +46,8 @@ pub(in crate::trace) trait Wide: Copy {
     fn overlap(self, x: Self::Floats) -> u32;
     /// `a` in the lower eight lanes, `b` in the upper.
     fn halves(self, a: f32, b: f32) -> Self::Floats;
+    /// Component k of all rays in entry k: origin, direction, tmin, tmax.
+    fn columns(self, rays: &[Ray; WIDE]) -> [Self::Floats; 8];
     /// The least of all lanes, none of them NaN.
     fn least(self, x: Self::Floats) -> f32;
 }
@@ -134,6 +130,17 @@ impl Wide for Scalar {
         std::array::from_fn(|i| if i < 8 { a } else { b })
     }
     #[inline(always)]
+    fn columns(self, rays: &[Ray; WIDE]) -> [[f32; WIDE]; 8] {
+        let mut columns = [[0.0; WIDE]; 8];
+        for (i, ray) in rays.iter().enumerate() {
+            let numbers: &[f32; 8] = bytemuck::cast_ref(ray);
+            for k in 0..8 {
+                columns[k][i] = numbers[k];
+            }
+        }
+        columns
+    }
+    #[inline(always)]
     fn least(self, x: [f32; WIDE]) -> f32 {
         x.iter().fold(f32::INFINITY, |least, &x| if x < least { x } else { least })
     }
@@ -178,6 +185,16 @@ wide! { Avx512, __m512,
         u32::from(_mm256_cmp_ps_mask::<_CMP_LE_OQ>(_mm512_castps512_ps256(x), last))
     }
     fn halves(a: f32, b: f32) -> __m512 { _mm512_mask_mov_ps(_mm512_set1_ps(a), 0xff00, _mm512_set1_ps(b)) }
+    fn columns(rays: &[Ray; 16]) -> [__m512; 8] {
+        let (low, high) = (transposed(rays.as_ptr().cast()), transposed(rays.as_ptr().add(8).cast()));
+        let mut columns = [_mm512_setzero_ps(); 8];
+        let mut k = 0;
+        while k < 8 {
+            columns[k] = _mm512_insertf32x8::<1>(_mm512_castps256_ps512(low[k]), high[k]);
+            k += 1;
+        }
+        columns
+    }
     fn least(x: __m512) -> f32 { _mm512_reduce_min_ps(x) }
 }
 
@@ -225,10 +242,58 @@ wide! { Avx2, [__m256; 2],
         _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(x[0], last)) as u32
     }
     fn halves(a: f32, b: f32) -> [__m256; 2] { [_mm256_set1_ps(a), _mm256_set1_ps(b)] }
+    fn columns(rays: &[Ray; 16]) -> [[__m256; 2]; 8] {
+        let (low, high) = (transposed(rays.as_ptr().cast()), transposed(rays.as_ptr().add(8).cast()));
+        let mut columns = [[_mm256_setzero_ps(); 2]; 8];
+        let mut k = 0;
+        while k < 8 {
+            columns[k] = [low[k], high[k]];
+            k += 1;
+        }
+        columns
+    }
     fn least(x: [__m256; 2]) -> f32 {
         let four = _mm256_min_ps(x[0], x[1]);
         let four = _mm_min_ps(_mm256_castps256_ps128(four), _mm256_extractf128_ps::<1>(four));
         let two = _mm_min_ps(four, _mm_movehl_ps(four, four));
         _mm_cvtss_f32(_mm_min_ss(two, _mm_shuffle_ps::<1>(two, two)))
+    }
+}
+
+/// Eight rows of eight floats as columns.
+///
+/// # Safety
+/// AVX must be there, and 64 floats behind `rows`.
+#[cfg(target_arch = "x86_64")]
+#[inline(always)]
+unsafe fn transposed(rows: *const f32) -> [__m256; 8] {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        let mut r = [_mm256_setzero_ps(); 8];
+        let mut i = 0;
+        while i < 8 {
+            r[i] = _mm256_loadu_ps(rows.add(8 * i));
+            i += 1;
+        }
+        let (a, b) = (_mm256_unpacklo_ps(r[0], r[1]), _mm256_unpackhi_ps(r[0], r[1]));
+        let (c, d) = (_mm256_unpacklo_ps(r[2], r[3]), _mm256_unpackhi_ps(r[2], r[3]));
+        let (e, f) = (_mm256_unpacklo_ps(r[4], r[5]), _mm256_unpackhi_ps(r[4], r[5]));
+        let (g, h) = (_mm256_unpacklo_ps(r[6], r[7]), _mm256_unpackhi_ps(r[6], r[7]));
+        const LOW: i32 = 0b01_00_01_00;
+        const HIGH: i32 = 0b11_10_11_10;
+        let (a, c) = (_mm256_shuffle_ps::<LOW>(a, c), _mm256_shuffle_ps::<HIGH>(a, c));
+        let (b, d) = (_mm256_shuffle_ps::<LOW>(b, d), _mm256_shuffle_ps::<HIGH>(b, d));
+        let (e, g) = (_mm256_shuffle_ps::<LOW>(e, g), _mm256_shuffle_ps::<HIGH>(e, g));
+        let (f, h) = (_mm256_shuffle_ps::<LOW>(f, h), _mm256_shuffle_ps::<HIGH>(f, h));
+        [
+            _mm256_permute2f128_ps::<0x20>(a, e),
+            _mm256_permute2f128_ps::<0x20>(c, g),
+            _mm256_permute2f128_ps::<0x20>(b, f),
+            _mm256_permute2f128_ps::<0x20>(d, h),
+            _mm256_permute2f128_ps::<0x31>(a, e),
+            _mm256_permute2f128_ps::<0x31>(c, g),
+            _mm256_permute2f128_ps::<0x31>(b, f),
+            _mm256_permute2f128_ps::<0x31>(d, h),
+        ]
     }
 }
