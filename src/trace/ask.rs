@@ -113,6 +113,76 @@ impl Ask for LeastHit {
     }
 }
 
+/// The closest hits, each ray leaving out its own.
+pub(super) struct LeastOfEach<'s>(pub &'s [Skip]);
+
+impl Ask for LeastOfEach<'_> {
+    type Collector<'a> = Closest<'a>;
+    type Answer = Option<Found>;
+    const NOTHING: Option<Found> = None;
+    const FIRST: bool = false;
+
+    #[inline(always)]
+    fn begin<'a>(&self, i: usize, _: &Ray) -> Closest<'a> {
+        Closest::new(self.skip(i))
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Closest<'a> {
+        Closest::new(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn skip(&self, i: usize) -> Skip {
+        self.0.get(i).copied().unwrap_or(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn answer(found: Found) -> Option<Found> {
+        Some(found)
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], give: impl FnMut(usize, Option<Found>)) {
+        Least::end(kernel, rays, collectors, give);
+    }
+}
+
+/// Whether anything is hit, each ray leaving out its own.
+pub(super) struct WhetherEach<'s>(pub &'s [Skip]);
+
+impl Ask for WhetherEach<'_> {
+    type Collector<'a> = Any<'a>;
+    type Answer = bool;
+    const NOTHING: bool = false;
+    const FIRST: bool = true;
+
+    #[inline(always)]
+    fn begin<'a>(&self, i: usize, _: &Ray) -> Any<'a> {
+        Any::new(self.skip(i))
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Any<'a> {
+        Any::new(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn skip(&self, i: usize) -> Skip {
+        self.0.get(i).copied().unwrap_or(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn answer(_: Found) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Any<'_>], give: impl FnMut(usize, bool)) {
+        Whether::end(kernel, rays, collectors, give);
+    }
+}
+
 /// Whether anything is hit.
 pub(super) struct Whether(pub Skip);
 

@@ -176,7 +176,9 @@ fn step<'a, K: Kernel, C: Collector<'a>>(
     stack: &mut [Level; LEVELS],
     counters: &mut Counters,
 ) -> Result<bool> {
-    let Flying { saved, setup, shear, depths, view, node: index, left, top, far, sheared, leaf, ray, collector, .. } = flying;
+    let Flying {
+        saved, setup, shear, depths, view, node: index, left, top, far, sheared, leaf, ray, collector, ..
+    } = flying;
     if let Some((stored, lanes)) = leaf.take() {
         match take(&stored, lanes, ray, setup, depths, far, collector, counters) {
             Next::On => {}

@@ -30,7 +30,7 @@ pub use arch::Isa;
 pub use attributes::{Attributes, attributes};
 pub use boxes::{Stored, triangles_in_box};
 pub use linear::LinearTracer;
-pub use octree::OctreeTracer;
+pub use octree::{OctreeTracer, Order};
 
 /// Rays that one task of a batch takes.
 const BATCH: usize = 1024;
@@ -74,6 +74,38 @@ pub trait Tracer: Send + Sync {
     /// Whether anything is hit, leaving out `skip`.
     fn any(&self, ray: &Ray, skip: Skip) -> Result<bool> {
         self.any_counted(ray, skip, &mut Counters::default())
+    }
+
+    /// The closest hits of rays on this thread, each leaving out its own `skips[i]`; `found[i]` answers `rays[i]`. Adds the
+    /// work done to `counters`.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn closest_each(
+        &self,
+        rays: &[Ray],
+        skips: &[Skip],
+        found: &mut [Option<Found>],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        assert!(rays.len() == skips.len() && rays.len() == found.len(), "a skip and an answer a ray");
+        for ((ray, skip), found) in rays.iter().zip(skips).zip(found) {
+            *found = self.closest_counted(ray, *skip, counters)?;
+        }
+        Ok(())
+    }
+
+    /// Whether each of the rays hits anything, on this thread, each leaving out its own `skips[i]`; `blocked[i]` answers `rays[i]`.
+    /// Adds the work done to `counters`.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        for ((ray, skip), blocked) in rays.iter().zip(skips).zip(blocked) {
+            *blocked = self.any_counted(ray, *skip, counters)?;
+        }
+        Ok(())
     }
 
     /// The closest hits of many rays, in parallel on rayon's current pool; `hits[i]` answers `rays[i]`.

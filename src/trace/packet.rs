@@ -34,7 +34,7 @@ const GROUPS: usize = PACKET / WIDE;
 /// Fewer rays than this are not worth a packet.
 const LEAST: u32 = 8;
 /// Up to so many rays of sixteen are tested one by one at a leaf: measured.
-const FEW: u32 = 4;
+const FEW: u32 = 6;
 /// How far apart a packet's slopes may be, and its origins in root sizes.
 const SPREAD: [f32; 2] = [0.25, 0.03125];
 
@@ -104,8 +104,9 @@ struct Common {
     /// By how much planes are moved outward.
     pad: [f32; 3],
     near: f32,
-    /// Whether all start at one point.
+    /// Whether all start at one point, and that point.
     focused: bool,
+    origin: [f32; 3],
     /// Whether some ray leaves out a face.
     skipping: bool,
 }
@@ -126,6 +127,26 @@ struct Rays {
     unsure: [u32; GROUPS],
     /// Beyond this nothing matters to any ray.
     far: f32,
+}
+
+/// Whether neighbours among the rays run side by side, by a few samples.
+pub(super) fn promising(rays: &[Ray]) -> bool {
+    const SAMPLES: usize = 8;
+    let near = |a: &Ray, b: &Ray| {
+        let dot = |p: [f32; 3], q: [f32; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
+        let cosine = dot(a.direction, b.direction);
+        cosine > 0.0 && cosine * cosine > 0.98 * dot(a.direction, a.direction) * dot(b.direction, b.direction)
+    };
+    if rays.len() < LEAST as usize {
+        return false;
+    }
+    let reach = (rays.len() - 1).min(WIDE - 1);
+    let samples = SAMPLES.min(rays.len() / (reach + 1)).max(1);
+    let side_by_side = (0..samples).filter(|k| {
+        let first = k * (rays.len() / samples);
+        rays.get(first + reach).is_some_and(|other| near(&rays[first], other))
+    });
+    2 * side_by_side.count() >= samples
 }
 
 /// Walks up to 64 rays together and gives their answers, but for those rays that must be walked alone: bit i for `rays[i]`.
@@ -275,12 +296,7 @@ fn conclude<K: Kernel, A: Ask>(kernel: K, group: &Group, done: u32, answers: &mu
 
 /// Reads the rays and finds what they have in common; `None` where they are no packet.
 #[inline(always)]
-fn assemble<K: Kernel>(
-    kernel: K,
-    scene: &Scene,
-    rays: &[Ray],
-    groups: &mut [Group; GROUPS],
-) -> Option<(Common, Rays)> {
+fn assemble<K: Kernel>(kernel: K, scene: &Scene, rays: &[Ray], groups: &mut [Group; GROUPS]) -> Option<(Common, Rays)> {
     let fit = &scene.fit;
     let leader = rays.first()?;
     let (mut way, mut aim) = (Way::default(), Aim::default());
@@ -289,7 +305,13 @@ fn assemble<K: Kernel>(
     }
     way.order = way.mask ^ scene.turn;
     let d = leader.direction.map(f32::abs);
-    let z = if d[0] > d[1] && d[0] > d[2] { 0 } else if d[1] > d[2] { 1 } else { 2 };
+    let z = if d[0] > d[1] && d[0] > d[2] {
+        0
+    } else if d[1] > d[2] {
+        1
+    } else {
+        2
+    };
     let axes = [(z + 1) % 3, (z + 2) % 3, z];
     // The root's corner as the sum of two f32: the first difference is exact where it matters.
     let split = [0, 1, 2].map(|i| {
@@ -397,6 +419,7 @@ fn assemble<K: Kernel>(
         pad: [0.0; 3],
         near: kernel.least(nearest),
         focused: true,
+        origin: leader.origin,
         skipping: false,
     };
     let (mut low, mut high) = ([0.0; 3], [0.0; 3]);
@@ -413,6 +436,7 @@ fn assemble<K: Kernel>(
         common.offsets[axis] = if way.mask & (4 >> axis) != 0 { [beyond, before] } else { [before, beyond] };
         common.pad[axis] = pad;
     }
+    common.origin = low;
     state.far = greatest(kernel, farthest);
     common.bound = Shear::bound_of(low, high, ends(kernel, depth), scene.bounds);
     Some((common, state))
@@ -433,14 +457,7 @@ fn ends<K: Kernel>(kernel: K, [low, high]: [K::Floats; 2]) -> [f32; 2] {
 /// For each entry of a node a lower bound of the parameters at which rays enter its slot, and behind these eight the negated upper bounds of
 /// those at which they leave it.
 #[inline(always)]
-fn touch<K: Kernel>(
-    kernel: K,
-    common: &Common,
-    node: &Node,
-    corner: [f32; 3],
-    unit: [f32; 3],
-    far: f32,
-) -> K::Floats {
+fn touch<K: Kernel>(kernel: K, common: &Common, node: &Node, corner: [f32; 3], unit: [f32; 3], far: f32) -> K::Floats {
     let planes = kernel.planes(node, &common.way);
     let mut bounds = kernel.halves(common.near, -far);
     for axis in 0..3 {
@@ -448,10 +465,7 @@ fn touch<K: Kernel>(
         let base = kernel.halves(corner[axis] + enter, corner[axis] + leave);
         let plane = kernel.fused(planes[axis], kernel.all(unit[axis]), base);
         let [a, b] = common.inv[axis];
-        let t = kernel.lesser(
-            kernel.times(plane, kernel.halves(a, -a)),
-            kernel.times(plane, kernel.halves(b, -b)),
-        );
+        let t = kernel.lesser(kernel.times(plane, kernel.halves(a, -a)), kernel.times(plane, kernel.halves(b, -b)));
         bounds = kernel.greater(t, bounds);
     }
     bounds
@@ -630,11 +644,17 @@ fn together<K: Kernel, A: Ask>(
     let (ox, oy, oz) =
         (kernel.get(&group.block.origin[ax]), kernel.get(&group.block.origin[ay]), kernel.get(&group.block.origin[az]));
     let (sx, sy) = (kernel.get(&group.slopes[0]), kernel.get(&group.slopes[1]));
+    let [x0, y0, z0] = [ax, ay, az].map(|axis| common.origin[axis]);
     for (row, ((&x, &y), &z)) in table.iter_mut().zip(xs.iter().zip(ys).zip(zs)) {
-        let depth = kernel.minus(kernel.all(z), oz);
+        let (wide, high, depth) = match common.focused {
+            true => (kernel.all(x - x0), kernel.all(y - y0), kernel.all(z - z0)),
+            false => {
+                (kernel.minus(kernel.all(x), ox), kernel.minus(kernel.all(y), oy), kernel.minus(kernel.all(z), oz))
+            }
+        };
         // Rounded after each step, never fused: the bound of `exact/filter.rs` counts on it.
-        let wide = kernel.minus(kernel.minus(kernel.all(x), ox), kernel.times(sx, depth));
-        let high = kernel.minus(kernel.minus(kernel.all(y), oy), kernel.times(sy, depth));
+        let wide = kernel.minus(wide, kernel.times(sx, depth));
+        let high = kernel.minus(high, kernel.times(sy, depth));
         kernel.put(wide, &mut row[0]);
         kernel.put(high, &mut row[1]);
         kernel.put(depth, &mut row[2]);
@@ -645,7 +665,8 @@ fn together<K: Kernel, A: Ask>(
     let (tmin, tmax) = (kernel.get(&group.tmin), kernel.get(&group.tmax));
     let (mut going, mut doubtful, mut taken) = (active, 0, 0);
     for j in 0..leaf.len() {
-        let [a, b, c] = leaf.corners(j).map(|i| &table[i & 31]);
+        let [a, b, c] = leaf.corners(j);
+        let (a, b, c) = (&table[a & 31], &table[b & 31], &table[c & 31]);
         let (ax, ay) = (kernel.get(&a[0]), kernel.get(&a[1]));
         let (bx, by) = (kernel.get(&b[0]), kernel.get(&b[1]));
         let (cx, cy) = (kernel.get(&c[0]), kernel.get(&c[1]));
@@ -653,7 +674,7 @@ fn together<K: Kernel, A: Ask>(
         let v = kernel.minus(kernel.times(cx, ay), kernel.times(cy, ax));
         let w = kernel.minus(kernel.times(ax, by), kernel.times(ay, bx));
         let m = kernel.greater(kernel.greater(kernel.get(&a[3]), kernel.get(&b[3])), kernel.get(&c[3]));
-        let bound = kernel.plus(kernel.times(linear, m), constant);
+        let bound = kernel.fused(linear, m, constant);
         let least = kernel.lesser(kernel.lesser(u, v), w);
         let most = kernel.greater(kernel.greater(u, v), w);
         let q = kernel.lesser(kernel.negative(least), most);

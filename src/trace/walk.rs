@@ -142,7 +142,9 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
                     crew[k].shear = Shear::new(&those[k], file.scene.bounds);
                 }
                 let mut collectors: [A::Collector<'_>; LANES] =
-                    std::array::from_fn(|k| if k < count { ask.begin(first + places[k], &those[k]) } else { A::idle() });
+                    std::array::from_fn(
+                        |k| if k < count { ask.begin(first + places[k], &those[k]) } else { A::idle() },
+                    );
                 let mut left = live;
                 while left != 0 {
                     let k = left.trailing_zeros() as usize % LANES;

@@ -2,8 +2,8 @@
 
 use std::arch::x86_64::*;
 
-use super::{round, scalar};
 use super::{Aim, Block, Cell, Fit, Job, Kernel, MODERATE, NEAR, Rounded, Saved, Way};
+use super::{round, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{self, Coding, Leaf, Node};
 use crate::geometry::Ray;

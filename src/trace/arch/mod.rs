@@ -22,7 +22,6 @@ use std::sync::OnceLock;
 
 pub(super) use wide::{Row, WIDE, Wide, greatest};
 
-
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Leaf, Node};
 use crate::geometry::Ray;
