@@ -7,9 +7,9 @@ mod trace_common;
 
 use std::cmp::Ordering;
 
-use octrace::build::BuildOptions;
+use octrace::build::{BuildOptions, Positions};
 use octrace::exact::Line;
-use octrace::format::SplitMode;
+use octrace::format::{Flags, SplitMode};
 use octrace::geometry::{FaceId, Hit, Ray, Skip};
 use octrace::map::Octree;
 use octrace::trace::{Found, Isa, LinearTracer, OctreeTracer, Tracer, all_hits};
@@ -191,6 +191,32 @@ fn however_the_file_is_built() {
             let tracer = if k / isas.len() % 2 == 1 { tracer.backward() } else { tracer };
             bench.check(&format!("{options:?}"), &tracer);
         }
+    }
+}
+
+/// Whether pages are packed, and moved to a grid.
+#[test]
+fn packed_or_not() {
+    for bench in Bench::all() {
+        let isas = Isa::available();
+        for (k, level) in [1, 3, 19].into_iter().enumerate() {
+            for split in SPLITS {
+                // Strict bricks hold a triangle many times; of a large mesh they must not be tiny.
+                let brick = Some(if bench.is_large() { 2000 } else { 64 });
+                let options = BuildOptions { split, brick, compress: Some(level), ..BuildOptions::default() };
+                let octree = bench.mesh.octree(&options);
+                assert!(octree.header().flags.has(Flags::PACKED), "{}, {options:?}", bench.name);
+                let tracer = OctreeTracer::new(&octree).with_isa(isas[k % isas.len()]).with_flight(k == 1);
+                bench.check(&format!("{options:?}"), &tracer);
+            }
+        }
+        // Vertices on a grid make another mesh; but that one packed or not is the same.
+        let grid = BuildOptions { positions: Positions::Grid(None), brick: Some(2000), ..BuildOptions::default() };
+        let plain = bench.mesh.octree(&grid);
+        let packed = bench.mesh.octree(&BuildOptions { compress: Some(3), ..grid });
+        let expected = answers(&OctreeTracer::new(&plain), &bench.queries);
+        let got = answers(&OctreeTracer::new(&packed), &bench.queries);
+        assert_same(&format!("{}, on a grid", bench.name), &bench.queries, &got, &expected);
     }
 }
 

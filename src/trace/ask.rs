@@ -1,20 +1,58 @@
 //! What is asked about a ray: the closest hit, the next one, or whether there is any.
 
-use super::Found;
 use super::arch::Kernel;
-use super::collect::{Any, Closest, Collector};
-use crate::exact::Line;
-use crate::geometry::{Hit, Ray, Skip};
+use super::collect::{Any, Closest, Collector, Next, Stored};
+use super::walk::{self, Sight};
+use super::{Counters, Found};
+use crate::exact::{Line, Shear};
+use crate::geometry::{Aabb, Hit, Ray, Skip};
 
 /// A question that a walk answers about a ray.
 pub(super) trait Ask {
     /// What gathers the hits.
-    type Collector<'a>: Collector<'a>;
+    type Collector<'a>: Leaves<'a>;
     type Answer;
     /// The answer where nothing is hit.
     const NOTHING: Self::Answer;
     fn begin<'a>(&self, ray: &Ray) -> Self::Collector<'a>;
     fn end<K: Kernel>(kernel: K, collector: Self::Collector<'_>, ray: &Ray) -> Self::Answer;
+}
+
+/// Tests the triangles of the leaves that a walk comes to, and keeps what it finds.
+pub(super) trait Leaves<'a> {
+    /// Prepares a ray for [`Leaves::leaf`].
+    fn shear(&self, ray: &Ray, bounds: Aabb) -> Shear;
+    /// Tests a leaf; lowers `far` where it answers [`Next::Nearer`].
+    fn leaf<K: Kernel>(
+        &mut self,
+        kernel: K,
+        stored: &Stored<'a>,
+        ray: &Ray,
+        sight: &mut Sight,
+        far: &mut f32,
+        counters: &mut Counters,
+    ) -> Next;
+}
+
+/// Exactly.
+impl<'a, C: Collector<'a>> Leaves<'a> for C {
+    #[inline(always)]
+    fn shear(&self, ray: &Ray, bounds: Aabb) -> Shear {
+        Shear::new(ray, bounds)
+    }
+
+    #[inline(always)]
+    fn leaf<K: Kernel>(
+        &mut self,
+        kernel: K,
+        stored: &Stored<'a>,
+        ray: &Ray,
+        sight: &mut Sight,
+        far: &mut f32,
+        counters: &mut Counters,
+    ) -> Next {
+        walk::leaf(kernel, stored, ray, sight, far, self, counters)
+    }
 }
 
 /// The closest hit, after `last` if that is given.

@@ -16,6 +16,7 @@ mod collect;
 mod flight;
 mod linear;
 mod octree;
+mod rough;
 mod setup;
 mod walk;
 

@@ -20,7 +20,7 @@ use bytemuck::Zeroable;
 
 use super::Counters;
 use super::arch::{Cell, Job, Kernel, Saved};
-use super::ask::Ask;
+use super::ask::{Ask, Leaves};
 use super::collect::{Collector, Next, Place, Stored};
 use super::setup::{Scene, Setup};
 use crate::error::Result;
@@ -148,7 +148,7 @@ impl<'a> File<'a> {
         start: &Start<'a>,
         ray: &Ray,
         sight: &mut Sight,
-        collector: &mut impl Collector<'a>,
+        collector: &mut impl Leaves<'a>,
         counters: &mut Counters,
     ) -> Result<()> {
         let mut view = start.view;
@@ -184,9 +184,9 @@ impl<'a> File<'a> {
                 let Some(stored) = self.stored(&view, index, node, byte, counters) else { continue };
                 if !sheared {
                     sheared = true;
-                    sight.shear = Shear::new(ray, self.scene.bounds);
+                    sight.shear = collector.shear(ray, self.scene.bounds);
                 }
-                match leaf(kernel, &stored, ray, sight, &mut far, collector, counters) {
+                match collector.leaf(kernel, &stored, ray, sight, &mut far, counters) {
                     Next::On => {}
                     Next::Nearer => left &= kernel.within(near, far),
                     Next::Done => break 'walk,
@@ -275,7 +275,7 @@ pub(super) fn keep<K: Kernel>(
 
 /// Tests the triangles of a leaf, and gives the hits to the collector.
 #[inline(always)]
-fn leaf<'a, K: Kernel>(
+pub(super) fn leaf<'a, K: Kernel>(
     kernel: K,
     stored: &Stored<'a>,
     ray: &Ray,

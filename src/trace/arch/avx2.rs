@@ -1,9 +1,11 @@
 //! The inner loops with AVX2: eight slots of a node at once, a leaf in two halves of eight triangles.
 
+mod rough;
+
 use std::arch::x86_64::*;
 
 use super::scalar;
-use super::{Aim, Cell, Fit, Job, Kernel, MODERATE, NEAR, Saved, Way};
+use super::{Aim, Cell, Fit, Job, Kernel, MODERATE, NEAR, Rough, Saved, Way};
 use crate::exact::{Depths, Lanes, Shear, U};
 use crate::format::{self, Coding, Leaf, Node};
 use crate::geometry::Ray;
@@ -394,6 +396,12 @@ impl Kernel for Avx2 {
     fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
         // SAFETY: `self` is proof.
         unsafe { rounded(leaf, lane, ray) }
+    }
+
+    #[inline(always)]
+    fn nearest(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough> {
+        // SAFETY: `self` is proof.
+        unsafe { rough::nearest(leaf, shear, range) }
     }
 }
 

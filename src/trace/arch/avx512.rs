@@ -1,8 +1,10 @@
 //! The inner loops with AVX-512: both ends of a node's eight slots at once, or a leaf's sixteen triangles.
 
+mod rough;
+
 use std::arch::x86_64::*;
 
-use super::{Aim, Cell, Fit, Job, Kernel, Saved, Way, avx2, scalar};
+use super::{Aim, Cell, Fit, Job, Kernel, Rough, Saved, Way, avx2, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
 use crate::geometry::Ray;
@@ -196,6 +198,12 @@ impl Kernel for Avx512 {
     fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
         // SAFETY: `self` is proof.
         unsafe { avx2::rounded(leaf, lane, ray) }
+    }
+
+    #[inline(always)]
+    fn nearest(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough> {
+        // SAFETY: `self` is proof.
+        unsafe { rough::nearest(leaf, shear, range) }
     }
 }
 

@@ -121,6 +121,21 @@ pub(super) trait Kernel: Copy {
     fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes;
     /// t, u, v of a triangle of a leaf (one that there is) which the ray is known to hit; as [`Line::rounded`](crate::exact::Line::rounded).
     fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]>;
+    /// The nearest triangle of a leaf that the ray seems to hit at a t in the closed `range`, in f32 without any bound of the error.
+    /// No tracer answers with it: it measures what exactness costs.
+    fn nearest(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough>;
+}
+
+/// A hit as f32 has it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rough {
+    /// The triangle's number in its leaf.
+    pub lane: u32,
+    pub t: f32,
+    /// Weight of the second corner.
+    pub u: f32,
+    /// Weight of the third corner.
+    pub v: f32,
 }
 
 /// Something to be done with whichever kernel is there.

@@ -1,6 +1,8 @@
 //! The portable inner loops.
 
-use super::{Aim, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Saved, Way};
+pub(super) mod rough;
+
+use super::{Aim, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Rough, Saved, Way};
 use crate::exact::{Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Coding, Frame, Leaf, Node};
 use crate::geometry::Ray;
@@ -108,6 +110,11 @@ impl Kernel for Scalar {
     #[inline(always)]
     fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
         Line::new(ray).rounded(&leaf.triangle(lane))
+    }
+
+    #[inline(always)]
+    fn nearest(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough> {
+        rough::nearest(leaf, shear, range)
     }
 }
 

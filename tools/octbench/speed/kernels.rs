@@ -36,6 +36,12 @@ pub const KERNELS: &[Kernel] = &[
         closest: Some(|tracer, rays, hits| tracer.clone().with_flight(true).closest_batch(rays, hits)),
         any: Some(|tracer, rays, blocked| tracer.clone().with_flight(true).any_batch(rays, blocked)),
     },
+    Kernel {
+        name: "float",
+        float_of: Some("single"),
+        closest: Some(|tracer, rays, hits| tracer.rough_closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.rough_any_batch(rays, blocked)),
+    },
 ];
 
 /// The kernel of a name.
