@@ -237,6 +237,7 @@ impl World {
         if pending.bounces >= scratch.depth || total.abs().max_element() < LEAST_WEIGHT {
             return Ok(weight * self.scene.background);
         }
+        let direction = self.away(&meeting.spot, near, direction);
         let Some(ahead) = self.departure(meeting, near, departure)?.along(direction) else {
             return Ok(weight * self.scene.background);
         };

@@ -17,6 +17,7 @@ mod flight;
 mod linear;
 mod octree;
 mod packet;
+mod rough;
 mod setup;
 mod walk;
 
