@@ -66,7 +66,7 @@ pub fn build_options(round: usize, layout: &Layout, triangles: usize) -> Vec<Bui
 }
 
 /// What a build may take: many run at once here beside their oracles, so that the process is large before one begins.
-const MEMORY: u64 = 16 << 30;
+const MEMORY: u64 = 4 << 30;
 
 fn one_way(round: usize, layout: &Layout, triangles: usize) -> BuildOptions {
     if let Some(cell) = layout.strict {
@@ -82,8 +82,9 @@ fn one_way(round: usize, layout: &Layout, triangles: usize) -> BuildOptions {
         ..BuildOptions::default()
     };
     if options.split == SplitMode::Strict {
-        // Cells along shared edges and around vertices never get empty: what the seed's form costs, and not at issue here.
-        let (cell, depth) = if triangles > 2000 { (16, 9) } else { (if triangles > 100 { 8 } else { 2 }, 12) };
+        // Cells along shared edges never get empty, nor do those of sheets that lie on each other, 4^depth of them: what the seed's
+        // form costs, and not at issue here.
+        let (cell, depth) = if triangles > 2000 { (16, 7) } else { (if triangles > 100 { 8 } else { 2 }, 8) };
         options.cell = options.cell.max(cell);
         options.depth = options.depth.min(depth);
     }
