@@ -5,8 +5,8 @@
 //! a slot is visited only if one of the rays touches its box too; at a leaf each ray does so by itself, sixteen in SIMD.
 //! Then, if many of sixteen rays are left, each triangle is tested against all of them, else each ray against all triangles.
 //!
-//! The f32 filter decides here or not at all: a ray for which it is in doubt leaves the packet, and is walked alone. So
-//! the answers are those of single rays.
+//! Where the f32 filter is in doubt, ray and triangle are decided exactly at once. A ray whose hits lie too close together for
+//! the bounds of t to tell leaves the packet, and is walked alone. So the answers are those of single rays.
 //!
 //! Planes are computed in root units, not as parameters: a frame's corner is carried along as f32. That rounds as often as the walk of one ray
 //! does (a step each level, the origin, the difference, the product), so that the slack of `setup.rs` holds; as the position
@@ -23,7 +23,7 @@ use super::setup::Scene;
 use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Start};
 use super::{Counters, Found};
 use crate::error::Result;
-use crate::exact::{Depths, Shear};
+use crate::exact::{Crossing, Decision, Depths, Line, Shear};
 use crate::format::{Frame, Node, PageId};
 use crate::geometry::{FaceId, Hit, Ray, Skip, Triangle};
 
@@ -121,6 +121,13 @@ pub(super) struct Asked<'r, A> {
     pub rays: &'r [Ray],
 }
 
+/// Triangles that f32 left in doubt, and those that f64 did too.
+#[derive(Default)]
+struct Work {
+    doubts: u64,
+    exact: u64,
+}
+
 /// What becomes of each ray: bits by group.
 struct Rays {
     /// Still looking.
@@ -129,6 +136,7 @@ struct Rays {
     unsure: [u32; GROUPS],
     /// Beyond this nothing matters to any ray.
     far: f32,
+    work: Work,
 }
 
 /// Whether neighbours among the rays run side by side, by a few samples.
@@ -255,6 +263,8 @@ pub(super) fn walk<K: Kernel, A: Ask>(
     }
     counters.nodes += nodes;
     counters.bricks += bricks;
+    counters.doubts += state.work.doubts;
+    counters.exact += state.work.exact;
     let mut alone = 0;
     for (g, answers) in answers.chunks_mut(WIDE).enumerate().take(GROUPS) {
         let unsure = state.unsure[g] | conclude::<K, A>(kernel, &groups[g], !state.unsure[g], answers);
@@ -325,7 +335,7 @@ fn assemble<K: Kernel>(kernel: K, scene: &Scene, rays: &[Ray], groups: &mut [Gro
     if split.iter().any(|[_, low]| low.abs() > fit.side) {
         return None;
     }
-    let mut state = Rays { live: [0; GROUPS], unsure: [0; GROUPS], far: f32::NEG_INFINITY };
+    let mut state = Rays { live: [0; GROUPS], unsure: [0; GROUPS], far: f32::NEG_INFINITY, work: Work::default() };
     let (most, least) = (kernel.all(f32::INFINITY), kernel.all(f32::NEG_INFINITY));
     // Least and greatest origin in root units, origin, inv; slopes; |dz|.
     let mut origins = [[most, least]; 3];
@@ -526,9 +536,9 @@ fn leaf<K: Kernel, A: Ask>(
         }
         let first = asked.first + WIDE * g;
         let (taken, doubted) = if active.count_ones() <= FEW {
-            one_by_one(kernel, common, stored, (asked.ask, first), active, group, depths)
+            one_by_one(kernel, common, stored, (asked.ask, first), active, group, depths, &mut state.work)
         } else {
-            together(kernel, common, stored, (asked.ask, first), active, group, table)
+            together(kernel, common, stored, (asked.ask, first), active, group, table, &mut state.work)
         };
         changed |= taken | doubted != 0;
         state.unsure[g] |= doubted;
@@ -549,8 +559,50 @@ fn leaf<K: Kernel, A: Ask>(
     changed
 }
 
+/// Decides exactly for some of sixteen rays whether they hit triangle `j` of a leaf, and keeps the bounds of those that are hit nearer; these
+/// rays, and those for which the bounds do not tell.
+#[cold]
+#[inline(never)]
+fn resolve<A: Ask>(
+    stored: &Stored<'_>,
+    j: u32,
+    doubt: u32,
+    (ask, first): (&A, usize),
+    group: &mut Group,
+    work: &mut Work,
+) -> (u32, u32) {
+    let triangle = stored.leaf.triangle(j as usize);
+    let (mut taken, mut unsure, mut rest) = (0, 0, doubt);
+    while rest != 0 {
+        let i = rest.trailing_zeros() as usize & (WIDE - 1);
+        rest &= rest - 1;
+        work.doubts += 1;
+        let of = |rows: &[Row; 3]| [rows[0].0[i], rows[1].0[i], rows[2].0[i]];
+        let (tmin, tmax) = (group.tmin.0[i], group.tmax.0[i]);
+        let ray = Ray { origin: of(&group.block.origin), direction: of(&group.block.direction), tmin, tmax };
+        let Decision { crossing, exact } = Line::new(&ray).meet(&triangle);
+        work.exact += u64::from(exact);
+        let Some(Crossing { depth, .. }) = crossing else { continue };
+        if ask.skip(first + i).has(stored.face(j)) {
+            continue;
+        }
+        let (l, h) = ((depth[0] as f32).next_down(), (depth[1] as f32).next_up());
+        if h < tmin || l > tmax || l > group.hi.0[i] {
+            continue;
+        }
+        if l > tmin && h < tmax && h < group.lo.0[i] {
+            (group.lo.0[i], group.hi.0[i], group.which[i]) = (l, h, j);
+            taken |= 1 << i;
+        } else {
+            unsure |= 1 << i;
+        }
+    }
+    (taken, unsure)
+}
+
 /// Tests all triangles against each ray in turn; the rays that were hit nearer, and those in doubt.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the state of a walk")]
 fn one_by_one<K: Kernel, A: Ask>(
     kernel: K,
     common: &Common,
@@ -559,6 +611,7 @@ fn one_by_one<K: Kernel, A: Ask>(
     active: u32,
     group: &mut Group,
     depths: &mut Depths,
+    work: &mut Work,
 ) -> (u32, u32) {
     let (mut taken, mut doubted) = (0, 0);
     let mut rest = active;
@@ -581,7 +634,7 @@ fn one_by_one<K: Kernel, A: Ask>(
         }
         let (tmin, tmax, before, reach) = (group.tmin.0[i], group.tmax.0[i], group.lo.0[i], group.hi.0[i]);
         let lanes = kernel.classify(&stored.leaf, &shear, [tmin, if reach < tmax { reach } else { tmax }], depths);
-        let mut doubt = lanes.doubt != 0;
+        let mut doubt = false;
         // The nearest, as long as the bounds tell; NaN compares false.
         let (mut lo, mut hi, mut lane) = (f32::INFINITY, f32::INFINITY, None);
         let mut accepted = lanes.accept;
@@ -608,6 +661,14 @@ fn one_by_one<K: Kernel, A: Ask>(
             }
         }
         doubted |= u32::from(doubt) << i;
+        let mut left = lanes.doubt;
+        while left != 0 && doubted >> i & 1 == 0 {
+            let j = left.trailing_zeros() & 15;
+            left &= left - 1;
+            let (hit, unsure) = resolve(stored, j, 1 << i, (ask, first), group, work);
+            taken |= hit;
+            doubted |= unsure;
+        }
     }
     keep::<A>(stored, group, if A::FIRST { 0 } else { taken & !doubted });
     (taken, doubted)
@@ -645,6 +706,7 @@ fn keep<A: Ask>(stored: &Stored<'_>, group: &mut Group, taken: u32) {
 
 /// Tests each triangle against all rays, much as [`Shear::classify`] does; the rays that were hit nearer, and those in doubt.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the state of a walk")]
 fn together<K: Kernel, A: Ask>(
     kernel: K,
     common: &Common,
@@ -653,6 +715,7 @@ fn together<K: Kernel, A: Ask>(
     active: u32,
     group: &mut Group,
     table: &mut [[Row; 4]; 32],
+    work: &mut Work,
 ) -> (u32, u32) {
     let leaf = &stored.leaf;
     let [ax, ay, az] = common.axes.map(|axis| axis.min(2));
@@ -727,11 +790,11 @@ fn together<K: Kernel, A: Ask>(
         let q = kernel.lesser(kernel.negative(least), most);
         let miss = kernel.below(bound, q);
         let hit = kernel.below(q, kernel.negative(bound)) & going;
-        let mut doubt = !(miss | hit) & going;
+        let doubt = !(miss | hit) & going;
         if hit | doubt == 0 {
             continue;
         }
-        let mut take = 0;
+        let (mut take, mut tied) = (0, 0);
         if hit != 0 {
             let (za, zb, zc) = (kernel.get(&a[2]), kernel.get(&b[2]), kernel.get(&c[2]));
             let share = kernel.over(kernel.all(1.0), kernel.plus(kernel.plus(u, v), w));
@@ -757,28 +820,31 @@ fn together<K: Kernel, A: Ask>(
                 counts = without(stored, j, counts, (ask, first));
             }
             take = counts & inside & kernel.below(h, lo);
-            let mut tied = counts & !take;
+            tied = counts & !take;
             if tied != 0 {
                 // The same triangle, stored in several leaves, has the same bounds. What was taken in this leaf is none of these.
                 let twice = kernel.at_most(l, lo) & kernel.at_most(lo, l) & !taken;
                 tied &= !(twice & same(stored, j, tied, group));
             }
-            doubt |= tied;
             lo = kernel.choose(take, l, lo);
             hi = kernel.choose(take, h, hi);
         }
-        if A::FIRST {
-            going &= !take;
-        } else {
-            going &= !doubt;
-        }
-        doubtful |= doubt;
-        taken |= take;
         let mut rest = take;
         while rest != 0 {
             group.which[rest.trailing_zeros() as usize & (WIDE - 1)] = j as u32;
             rest &= rest - 1;
         }
+        if doubt != 0 {
+            kernel.put(lo, &mut group.lo);
+            kernel.put(hi, &mut group.hi);
+            let (hit, unsure) = resolve(stored, j as u32, doubt, (ask, first), group, work);
+            (lo, hi) = (kernel.get(&group.lo), kernel.get(&group.hi));
+            take |= hit;
+            tied |= unsure;
+        }
+        going &= if A::FIRST { !take } else { !tied };
+        doubtful |= tied;
+        taken |= take;
     }
     kernel.put(lo, &mut group.lo);
     kernel.put(hi, &mut group.hi);
