@@ -11,6 +11,7 @@
 mod arch;
 mod ask;
 mod attributes;
+mod batch;
 mod boxes;
 mod collect;
 mod flight;

@@ -4,11 +4,12 @@ use std::borrow::Borrow;
 
 use super::arch::Isa;
 use super::ask::{Ask, Least, LeastHit, LeastOfEach, Whether, WhetherEach};
+use super::batch::{Batch, SPACE};
 use super::collect::Collector;
 use super::flight::{Flight, STACKS};
 use super::packet::{self, PACKET};
 use super::setup::Scene;
-use super::walk::{Batch, File, SPACE};
+use super::walk::File;
 use super::{Counters, Found, Tracer, batch};
 use crate::error::Result;
 use crate::geometry::{Aabb, Hit, Ray, Skip};

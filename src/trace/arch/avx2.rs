@@ -1,5 +1,6 @@
 //! The inner loops with AVX2: eight slots of a node at once, a leaf in two halves of eight triangles.
 
+mod leaf;
 mod rough;
 
 use std::arch::x86_64::*;
@@ -7,7 +8,7 @@ use std::arch::x86_64::*;
 use super::{Aim, Block, Cell, Fit, Job, Kernel, MODERATE, NEAR, Rough, Rounded, Saved, Way};
 use super::{round, scalar};
 use crate::exact::{Depths, Lanes, Shear};
-use crate::format::{self, Coding, Leaf, Node};
+use crate::format::{self, Leaf, Node};
 use crate::geometry::Ray;
 
 /// Proof that the processor has AVX2, FMA, BMI and LZCNT.
@@ -325,7 +326,7 @@ impl Kernel for Avx2 {
         let bits = u32::MAX >> (32 - leaf.len().clamp(1, 16));
         // SAFETY: `self` is proof; loads of axis k reach up to begin + 4 * (k * nv + 8 * steps), k <= 2, which was checked.
         unsafe {
-            let table = Table::of(leaf, shear, steps);
+            let table = leaf::Table::of(leaf, shear, steps);
             let first = table.half(0, shear, range, depths);
             let second = if leaf.len() > 8 { table.half(1, shear, range, depths) } else { Lanes::default() };
             Lanes {
@@ -346,195 +347,4 @@ impl Kernel for Avx2 {
         // SAFETY: `self` is proof.
         unsafe { rough::nearest(leaf, shear, range) }
     }
-}
-
-/// A leaf's vertices, sheared, eight a register, and its corner numbers.
-struct Table {
-    /// Registers in use, 1 to 4.
-    steps: usize,
-    vertices: [[__m256; 3]; 4],
-    corners: [[u8; 16]; 3],
-}
-
-impl Table {
-    /// Shears all vertices.
-    ///
-    /// # Safety
-    /// AVX2 must be there, and 32 readable bytes behind vertex 8 i of each axis, for all i < `steps`.
-    #[inline(always)]
-    unsafe fn of(leaf: &Leaf<'_>, shear: &Shear, steps: usize) -> Table {
-        let corners = match leaf.coding() {
-            Coding::Bytes => leaf.corner_bytes(),
-            Coding::Nibbles => {
-                let [a, b, c] = leaf.corner_words();
-                [spread(a), spread(b), spread(c)]
-            }
-        };
-        // SAFETY: as the caller vouches.
-        unsafe {
-            let base = leaf.bytes().as_ptr().add(leaf.coding().coordinates_at());
-            let stride = 4 * leaf.vertices();
-            let x: *const f32 = base.add(stride * shear.axes[0].min(2)).cast();
-            let y: *const f32 = base.add(stride * shear.axes[1].min(2)).cast();
-            let z: *const f32 = base.add(stride * shear.axes[2].min(2)).cast();
-            let first = sheared(x, y, z, shear);
-            let mut vertices = [first; 4];
-            let mut i = 1;
-            while i < steps.min(4) {
-                vertices[i] = sheared(x.add(8 * i), y.add(8 * i), z.add(8 * i), shear);
-                i += 1;
-            }
-            Table { steps, vertices, corners }
-        }
-    }
-
-    /// The sheared corner k of triangles 8 h to 8 h + 7.
-    ///
-    /// # Safety
-    /// AVX2 must be there.
-    #[inline(always)]
-    unsafe fn corner(&self, k: usize, h: usize) -> [__m256; 3] {
-        // SAFETY: the caller vouches for the instructions; the load is of eight of 16 bytes.
-        unsafe {
-            let index = _mm256_cvtepu8_epi32(_mm_loadl_epi64(self.corners[k].as_ptr().add(8 * (h & 1)).cast()));
-            let low = pick(self.vertices[0], self.vertices[1], index);
-            if self.steps <= 2 {
-                return low;
-            }
-            let high = pick(self.vertices[2], self.vertices[3], index);
-            let upper = _mm256_castsi256_ps(_mm256_slli_epi32::<27>(index));
-            [
-                _mm256_blendv_ps(low[0], high[0], upper),
-                _mm256_blendv_ps(low[1], high[1], upper),
-                _mm256_blendv_ps(low[2], high[2], upper),
-            ]
-        }
-    }
-
-    /// Classifies triangles 8 h to 8 h + 7; the same operations in the same order as [`Shear::classify`].
-    ///
-    /// # Safety
-    /// AVX2 must be there.
-    #[inline(always)]
-    unsafe fn half(&self, h: usize, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
-        // SAFETY: as the caller vouches; the stores are of eight of 16 floats.
-        unsafe {
-            let (a, b, c) = (self.corner(0, h), self.corner(1, h), self.corner(2, h));
-            let (u, v, w) = (edge(b, c), edge(c, a), edge(a, b));
-            let m = _mm256_max_ps(_mm256_max_ps(magnitude(a), magnitude(b)), magnitude(c));
-            let [linear, constant] = shear.bound();
-            let bound = _mm256_add_ps(_mm256_mul_ps(_mm256_set1_ps(linear), m), _mm256_set1_ps(constant));
-            let sign = _mm256_set1_ps(-0.0);
-            let least = _mm256_min_ps(_mm256_min_ps(u, v), w);
-            let most = _mm256_max_ps(_mm256_max_ps(u, v), w);
-            let q = _mm256_min_ps(_mm256_xor_ps(least, sign), most);
-            let miss = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_GT_OQ>(q, bound)) as u32;
-            let hit = _mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LT_OQ>(q, _mm256_xor_ps(bound, sign))) as u32;
-            let doubt = !(miss | hit) & 0xff;
-            if hit == 0 {
-                return Lanes { accept: 0, doubt };
-            }
-            let sum = _mm256_add_ps(_mm256_add_ps(u, v), w);
-            let share = _mm256_div_ps(_mm256_set1_ps(1.0), sum);
-            let of_a = _mm256_mul_ps(_mm256_mul_ps(u, share), a[2]);
-            let of_b = _mm256_mul_ps(_mm256_mul_ps(v, share), b[2]);
-            let of_c = _mm256_mul_ps(_mm256_mul_ps(w, share), c[2]);
-            let depth = _mm256_add_ps(_mm256_add_ps(of_a, of_b), of_c);
-            let t = _mm256_mul_ps(depth, _mm256_set1_ps(shear.inverse()));
-            let most = _mm256_max_ps(_mm256_max_ps(a[2], b[2]), c[2]);
-            let least = _mm256_min_ps(_mm256_min_ps(a[2], b[2]), c[2]);
-            let [of_shape, of_depth, constant] = shear.depth_bound();
-            let shape = _mm256_mul_ps(_mm256_mul_ps(bound, _mm256_andnot_ps(sign, share)), _mm256_sub_ps(most, least));
-            let shape = _mm256_mul_ps(shape, _mm256_set1_ps(of_shape));
-            let deepest = _mm256_max_ps(_mm256_andnot_ps(sign, most), _mm256_andnot_ps(sign, least));
-            let depth = _mm256_mul_ps(deepest, _mm256_set1_ps(of_depth));
-            let h_bound = _mm256_add_ps(_mm256_add_ps(shape, depth), _mm256_set1_ps(constant));
-            let (lo, hi) = (_mm256_sub_ps(t, h_bound), _mm256_add_ps(t, h_bound));
-            _mm256_storeu_ps(depths.lo.as_mut_ptr().add(8 * (h & 1)), lo);
-            _mm256_storeu_ps(depths.hi.as_mut_ptr().add(8 * (h & 1)), hi);
-            let later = _mm256_cmp_ps::<_CMP_GT_OQ>(lo, _mm256_set1_ps(range[1]));
-            let earlier = _mm256_cmp_ps::<_CMP_LT_OQ>(hi, _mm256_set1_ps(range[0]));
-            let beyond = _mm256_movemask_ps(_mm256_or_ps(later, earlier)) as u32;
-            Lanes { accept: hit & !beyond, doubt }
-        }
-    }
-}
-
-/// Eight sheared vertices and their depths.
-///
-/// # Safety
-/// AVX2 must be there, and eight floats at each pointer.
-#[inline(always)]
-unsafe fn sheared(x: *const f32, y: *const f32, z: *const f32, shear: &Shear) -> [__m256; 3] {
-    // SAFETY: as the caller vouches.
-    unsafe {
-        let [ox, oy, oz] = shear.origin();
-        let [sx, sy] = shear.slopes();
-        // Rounded after each step, never fused: the bound of `exact/filter.rs` counts on it.
-        let depth = _mm256_sub_ps(_mm256_loadu_ps(z), _mm256_set1_ps(oz));
-        let wide = _mm256_sub_ps(_mm256_loadu_ps(x), _mm256_set1_ps(ox));
-        let high = _mm256_sub_ps(_mm256_loadu_ps(y), _mm256_set1_ps(oy));
-        [
-            _mm256_sub_ps(wide, _mm256_mul_ps(_mm256_set1_ps(sx), depth)),
-            _mm256_sub_ps(high, _mm256_mul_ps(_mm256_set1_ps(sy), depth)),
-            depth,
-        ]
-    }
-}
-
-/// Entries of a table of sixteen, two registers a coordinate, by the low four bits of each index.
-///
-/// # Safety
-/// AVX2 must be there.
-#[inline(always)]
-unsafe fn pick(first: [__m256; 3], second: [__m256; 3], index: __m256i) -> [__m256; 3] {
-    // SAFETY: as the caller vouches.
-    unsafe {
-        let upper = _mm256_castsi256_ps(_mm256_slli_epi32::<28>(index));
-        let mut out = first;
-        let mut k = 0;
-        while k < 3 {
-            let low = _mm256_permutevar8x32_ps(first[k], index);
-            out[k] = _mm256_blendv_ps(low, _mm256_permutevar8x32_ps(second[k], index), upper);
-            k += 1;
-        }
-        out
-    }
-}
-
-/// An edge function, each step rounded.
-///
-/// # Safety
-/// AVX2 must be there.
-#[inline(always)]
-unsafe fn edge([px, py, _]: [__m256; 3], [qx, qy, _]: [__m256; 3]) -> __m256 {
-    // SAFETY: as the caller vouches.
-    unsafe { _mm256_sub_ps(_mm256_mul_ps(px, qy), _mm256_mul_ps(py, qx)) }
-}
-
-/// The larger magnitude of a point's coordinates.
-///
-/// # Safety
-/// AVX2 must be there.
-#[inline(always)]
-unsafe fn magnitude([x, y, _]: [__m256; 3]) -> __m256 {
-    // SAFETY: as the caller vouches.
-    unsafe {
-        let sign = _mm256_set1_ps(-0.0);
-        _mm256_max_ps(_mm256_andnot_ps(sign, x), _mm256_andnot_ps(sign, y))
-    }
-}
-
-/// Vertex numbers of 4 bits as bytes.
-#[inline(always)]
-fn spread(word: u64) -> [u8; 16] {
-    bytemuck::cast([spread_half(word & 0xffff_ffff).to_le(), spread_half(word >> 32).to_le()])
-}
-
-/// Eight numbers of 4 bits as bytes.
-#[inline(always)]
-fn spread_half(x: u64) -> u64 {
-    let x = (x | x << 16) & 0x0000_ffff_0000_ffff;
-    let x = (x | x << 8) & 0x00ff_00ff_00ff_00ff;
-    (x | x << 4) & 0x0f0f_0f0f_0f0f_0f0f
 }

@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::super::{Rough, scalar};
-use super::{Table, edge};
+use super::leaf::{Table, edge};
 use crate::exact::Shear;
 use crate::format::Leaf;
 
