@@ -11,10 +11,14 @@ use super::film::Film;
 use super::{hilbert, sampling};
 use crate::error::{Error, Result};
 use crate::event::Monitor;
-use crate::shade::{RayCounts, Scratch, World};
+use crate::shade::{RayCounts, Wave, World, WorldRay};
 
 /// Most pixels on a side.
 const MOST_SIDE: u32 = 65_536;
+/// Most samples that are followed together.
+const WAVE: usize = 1024;
+/// Pixels of a tile come in blocks of this side, and in each along a Z curve (Morton 1966): 16 or 64 rays in a row are neighbours.
+const BLOCK: u32 = 8;
 
 /// What the scene leaves to whoever renders it, or what is to be other than the scene says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,14 +150,15 @@ impl<'w> Job<'w> {
 
     /// One thread: takes tiles until none is left.
     fn work(&self, order: &[[u32; 2]], tile: u32, shared: &Shared<'_>, monitor: Monitor<'_>) {
-        let mut scratch = Scratch::new(self.depth);
-        let mut pixels = Vec::new();
+        let mut wave = Wave::new(self.depth);
+        let (mut pixels, mut samples) = (Vec::new(), Vec::new());
         while !shared.stop.load(Ordering::Relaxed) && !monitor.stopped() {
             let Some(&[i, j]) = order.get(shared.next.fetch_add(1, Ordering::Relaxed)) else { return };
             let (x0, y0) = (i * tile, j * tile);
             let (x1, y1) = (x0.saturating_add(tile).min(self.width), y0.saturating_add(tile).min(self.height));
-            scratch.rays = RayCounts::default();
-            let done = self.tile([x0, y0, x1, y1], &mut pixels, &mut scratch, shared, monitor);
+            wave.counts = RayCounts::default();
+            let stopped = || monitor.stopped() || shared.stop.load(Ordering::Relaxed);
+            let done = self.tile([x0, y0, x1, y1], &mut pixels, &mut samples, &mut wave, &stopped);
             let done = self.world.fault().and(done);
             let mut state = shared.state.lock().unwrap_or_else(|poison| poison.into_inner());
             match done {
@@ -161,7 +166,7 @@ impl<'w> Job<'w> {
                 Ok(true) => {
                     let rows = pixels.chunks((x1 - x0) as usize);
                     rows.zip(y0..).for_each(|(row, y)| state.film.put(x0, y, row));
-                    state.statistics.rays += scratch.rays;
+                    state.statistics.rays += wave.counts;
                     state.statistics.tiles += 1;
                     monitor.progress(state.statistics.tiles, Some(order.len() as u64), "tiles");
                 }
@@ -178,31 +183,54 @@ impl<'w> Job<'w> {
         &self,
         [x0, y0, x1, y1]: [u32; 4],
         pixels: &mut Vec<[f32; 3]>,
-        scratch: &mut Scratch,
-        shared: &Shared<'_>,
-        monitor: Monitor<'_>,
+        sums: &mut Vec<DVec3>,
+        wave: &mut Wave,
+        stopped: &dyn Fn() -> bool,
     ) -> Result<bool> {
-        pixels.clear();
-        for y in y0..y1 {
-            if monitor.stopped() || shared.stop.load(Ordering::Relaxed) {
-                return Ok(false);
+        let width = x1 - x0;
+        let count = self.k * self.k;
+        sums.clear();
+        sums.resize((width * (y1 - y0)) as usize, DVec3::ZERO);
+        let order = blocks(width, y1 - y0).flat_map(|pixel| (0..count).map(move |s| (pixel, s)));
+        let mut order = order.peekable();
+        let mut places = Vec::with_capacity(WAVE);
+        while order.peek().is_some() {
+            wave.clear();
+            places.clear();
+            for ([x, y], s) in order.by_ref().take(WAVE) {
+                wave.add(self.ray(self.corner[0] + x0 + x, self.corner[1] + y0 + y, s));
+                places.push((y * width + x) as usize);
             }
-            for x in x0..x1 {
-                pixels.push(self.pixel(self.corner[0] + x, self.corner[1] + y, scratch)?);
+            while self.world.follow(wave)? {
+                if stopped() {
+                    return Ok(false);
+                }
             }
+            // A pixel's samples come in their own order, so that its sum is the same whatever the waves.
+            places.iter().zip(wave.colors()).for_each(|(&place, &color)| sums[place] += color);
         }
+        pixels.clear();
+        pixels.extend(sums.iter().map(|&sum| (sum / f64::from(count)).as_vec3().to_array()));
         Ok(true)
     }
 
-    /// The pixel in column x and row y from the top of the whole picture.
-    fn pixel(&self, x: u32, y: u32, scratch: &mut Scratch) -> Result<[f32; 3]> {
-        let row = self.rows - 1 - y;
-        let mut sum = DVec3::ZERO;
-        for s in 0..self.k * self.k {
-            let [u, v] = sampling::position(s, self.k);
-            let ray = self.eye.ray(f64::from(x) + u, f64::from(row) + v);
-            sum += self.world.color(ray, scratch)?;
-        }
-        Ok((sum / f64::from(self.k * self.k)).as_vec3().to_array())
+    /// The ray of sample `s` of the pixel in column x and row y from the top of the whole picture.
+    fn ray(&self, x: u32, y: u32, s: u32) -> WorldRay {
+        let [u, v] = sampling::position(s, self.k);
+        self.eye.ray(f64::from(x) + u, f64::from(self.rows - 1 - y) + v)
     }
+}
+
+/// The pixels of a rectangle, in blocks.
+fn blocks(width: u32, height: u32) -> impl Iterator<Item = [u32; 2]> {
+    let corners = (0..height).step_by(BLOCK as usize);
+    let corners = corners.flat_map(move |y| (0..width).step_by(BLOCK as usize).map(move |x| [x, y]));
+    let pixels = corners
+        .flat_map(|[x, y]| (0..BLOCK * BLOCK).map(move |code| [x + every_other(code), y + every_other(code >> 1)]));
+    pixels.filter(move |&[x, y]| x < width && y < height)
+}
+
+/// Bits 0, 2 and 4.
+fn every_other(code: u32) -> u32 {
+    code & 1 | code >> 1 & 2 | code >> 2 & 4
 }

@@ -39,6 +39,6 @@ impl MirrorPath<'_> {
         let departure = self.world.leave(&meeting.spot, true, meeting.path(true))?;
         let Some(ahead) = departure.along(mirror(&meeting.spot, meeting.incoming)) else { return Ok(None) };
         self.ahead = ahead;
-        Ok(Some(if ahead.is_free() { Bounce::Free(ahead.ray) } else { Bounce::Wedged }))
+        Ok(Some(if self.ahead.is_free() { Bounce::Free(self.ahead.ray) } else { Bounce::Wedged }))
     }
 }

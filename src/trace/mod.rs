@@ -75,6 +75,34 @@ pub trait Tracer: Send + Sync {
         self.any_counted(ray, skip, &mut Counters::default())
     }
 
+    /// The closest hits of rays on this thread, each leaving out its own `skips[i]`; `found[i]` answers `rays[i]`.
+    ///
+    /// # Panics
+    /// May panic if the slices differ in length.
+    fn closest_each(
+        &self,
+        rays: &[Ray],
+        skips: &[Skip],
+        found: &mut [Option<Found>],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        for ((ray, &skip), found) in rays.iter().zip(skips).zip(found) {
+            *found = self.closest_counted(ray, skip, counters)?;
+        }
+        Ok(())
+    }
+
+    /// Whether each of the rays hits anything, on this thread, each leaving out its own `skips[i]`; `blocked[i]` answers `rays[i]`.
+    ///
+    /// # Panics
+    /// May panic if the slices differ in length.
+    fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        for ((ray, &skip), blocked) in rays.iter().zip(skips).zip(blocked) {
+            *blocked = self.any_counted(ray, skip, counters)?;
+        }
+        Ok(())
+    }
+
     /// The closest hits of many rays, in parallel on rayon's current pool; `hits[i]` answers `rays[i]`.
     ///
     /// # Panics
