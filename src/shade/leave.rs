@@ -70,14 +70,6 @@ pub(super) struct Side<'s> {
     front: bool,
 }
 
-/// The way from an origin back to the spot.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Segment {
-    pub ray: WorldRay,
-    /// The ray's parameter at the spot.
-    end: f64,
-}
-
 impl Spot {
     /// The side that is seen (`near`), or the other.
     pub(super) fn side(&self, near: bool) -> Side<'_> {
@@ -91,9 +83,9 @@ impl World {
     pub(super) fn leave(&self, spot: &Spot, near: bool, path: Path) -> Result<Departure> {
         let side = spot.side(near);
         let Some((origin, segment)) = self.first_origin(&side, path) else { return Ok(Departure::Nowhere) };
-        match self.any(&segment.ray, spot.omit)? {
+        match self.any(&segment, spot.omit)? {
             false => Ok(Departure::Free(origin)),
-            true => self.leave_past(&side, origin, &segment, path),
+            true => self.leave_past(&side, origin, path),
         }
     }
 
@@ -101,19 +93,20 @@ impl World {
     ///
     /// The shift leans from the normal toward the path: along the normal alone an origin beside an edge would stay in the
     /// plane of a neighbour at a right angle.
-    pub(super) fn first_origin(&self, side: &Side<'_>, path: Path) -> Option<(Origin, Segment)> {
+    pub(super) fn first_origin(&self, side: &Side<'_>, path: Path) -> Option<(Origin, WorldRay)> {
         let origin = self.beside(side, side.normal + path.direction, 1.0)?;
-        Some((origin, segment(side, &origin, path)))
+        let (segment, _) = segment(side, &origin, path);
+        Some((origin, segment))
     }
 
     /// The departure where something lies on the segment of the origin tried first.
     #[cold]
-    pub(super) fn leave_past(&self, side: &Side<'_>, origin: Origin, first: &Segment, path: Path) -> Result<Departure> {
-        let Some(blocker) = self.blocker(side, first, path)? else { return Ok(Departure::Free(origin)) };
+    pub(super) fn leave_past(&self, side: &Side<'_>, first: Origin, path: Path) -> Result<Departure> {
+        let Some(blocker) = self.blocker(side, &first, path)? else { return Ok(Departure::Free(first)) };
         for times in ALONG_PATH {
-            let Some(origin) = self.beside(side, path.direction, times) else { continue };
-            let segment = segment(side, &origin, path);
-            if !self.any(&segment.ray, side.spot.omit)? || self.blocker(side, &segment, path)?.is_none() {
+            if let Some(origin) = self.beside(side, path.direction, times)
+                && self.blocker(side, &origin, path)?.is_none()
+            {
                 return Ok(Departure::Free(origin));
             }
         }
@@ -153,9 +146,9 @@ impl World {
         }
     }
 
-    /// The surface nearest to the spot on a segment that separates its origin from the spot, and the segment that found it.
-    fn blocker(&self, side: &Side<'_>, segment: &Segment, path: Path) -> Result<Option<Blocker>> {
-        let &Segment { ray: whole, end } = segment;
+    /// The surface nearest to the spot that lies between it and `origin`, and the segment that found it.
+    fn blocker(&self, side: &Side<'_>, origin: &Origin, path: Path) -> Result<Option<Blocker>> {
+        let (whole, end) = segment(side, origin, path);
         let (mut left, mut blocker) = (whole, None);
         for _ in 0..MOST_SHEETS {
             let Some(contact) = self.closest(&left, side.spot.omit)? else { break };
@@ -183,8 +176,8 @@ impl World {
     }
 }
 
-/// The segment from `origin` back to the spot, and a little way up the path.
-fn segment(side: &Side<'_>, origin: &Origin, path: Path) -> Segment {
+/// The segment from `origin` back to the spot and a little way up the path, and its parameter there.
+fn segment(side: &Side<'_>, origin: &Origin, path: Path) -> (WorldRay, f64) {
     let point = side.spot.point;
     let distance = (point - origin.world).length();
     let up = match path.reach {
@@ -195,5 +188,5 @@ fn segment(side: &Side<'_>, origin: &Origin, path: Path) -> Segment {
     let back = target - origin.world;
     let scale = if back.abs().max_element() < SHORT { (1u64 << 60) as f64 } else { 1.0 };
     let end = 1.0 / scale;
-    Segment { ray: WorldRay::from(origin, back * scale, ((1.0 + END) * end) as f32), end }
+    (WorldRay::from(origin, back * scale, ((1.0 + END) * end) as f32), end)
 }

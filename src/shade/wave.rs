@@ -16,10 +16,10 @@
 use glam::DVec3;
 
 use super::batch::{Batch, Questions};
-use super::leave::{Blocker, Departure, Segment};
+use super::leave::{Blocker, Departure};
 use super::object::Contact;
 use super::ray::{Omit, Origin, WorldRay};
-use super::whitted::{AT_LIGHT, Ahead, LEAST_WEIGHT, Meeting, RayCounts, mirror, refract};
+use super::whitted::{AT_LIGHT, LEAST_WEIGHT, Meeting, RayCounts, mirror, refract};
 use super::world::World;
 use crate::error::Result;
 use crate::geometry::FaceId;
@@ -55,7 +55,6 @@ struct Asks {
     questions: Questions,
     ends: Questions,
     batch: Batch,
-    tries: Vec<Try>,
 }
 
 /// Rays, and what each is for.
@@ -84,13 +83,6 @@ struct Struck {
     /// How the surface is left on the side that is seen, once that was asked, and on the other.
     near: Option<Departure>,
     far: Option<Departure>,
-}
-
-/// An origin to be certified: whose, and the way back from it.
-struct Try {
-    struck: u32,
-    origin: Origin,
-    segment: Segment,
 }
 
 impl Wave {
@@ -134,8 +126,9 @@ impl Front {
         self.about.push(about);
     }
 
-    fn take(&mut self, waiting: Option<(WorldRay, Pending)>) {
-        if let Some((ray, about)) = waiting {
+    /// Takes the last of those that wait, if there is one.
+    fn take(&mut self, waiting: &mut Vec<(WorldRay, Pending)>) {
+        if let Some((ray, about)) = waiting.pop() {
             self.push(ray, about);
         }
     }
@@ -167,11 +160,9 @@ impl Pending {
         self.bounces < depth && !faint
     }
 
-    /// The ray that goes on from here.
-    fn then(&self, ahead: Ahead, weight: Color) -> (WorldRay, Pending) {
-        let Pending { bounces, sample, .. } = *self;
-        let about = Pending { weight: self.weight * weight, bounces: bounces + 1, sample, blocker: ahead.blocker };
-        (ahead.ray, about)
+    /// About a ray that goes on from here.
+    fn then(&self, weight: Color, blocker: Option<Box<Blocker>>) -> Pending {
+        Pending { weight: self.weight * weight, bounces: self.bounces + 1, sample: self.sample, blocker }
     }
 }
 
@@ -211,33 +202,32 @@ impl World {
         Ok(())
     }
 
-    /// Finds how surfaces that were struck are left on one side, if it is not known: origins are made, and asked about together.
-    fn depart(&self, struck: &mut [Struck], wanted: &[u32], near: bool, asks: &mut Asks) -> Result<()> {
-        let Asks { questions, batch, tries, .. } = asks;
+    /// Finds how surfaces that were struck are left on one side: origins are made, and asked about together. Those whose way is
+    /// known drop out of `wanted`.
+    fn depart(&self, struck: &mut [Struck], wanted: &mut Vec<u32>, near: bool, asks: &mut Asks) -> Result<()> {
+        let Asks { questions, batch, .. } = asks;
         questions.clear();
-        tries.clear();
-        for &i in wanted {
+        wanted.retain(|&i| {
             let s = &mut struck[i as usize];
             if s.departure(near).is_some() {
-                continue;
+                return false;
             }
             let Meeting { spot, .. } = &s.meeting;
-            match self.first_origin(&spot.side(near), s.meeting.path(near)) {
-                None => *s.departure(near) = Some(Departure::Nowhere),
-                Some((origin, segment)) => {
-                    questions.push(segment.ray, spot.omit);
-                    tries.push(Try { struck: i, origin, segment });
-                }
-            }
-        }
-        self.any_each(questions, batch)?;
-        for (&Try { struck: i, origin, ref segment }, &blocked) in tries.iter().zip(&questions.blocked) {
-            let s = &mut struck[i as usize];
-            let departure = match blocked {
-                false => Departure::Free(origin),
-                true => self.leave_past(&s.meeting.spot.side(near), origin, segment, s.meeting.path(near))?,
+            let Some((origin, segment)) = self.first_origin(&spot.side(near), s.meeting.path(near)) else {
+                *s.departure(near) = Some(Departure::Nowhere);
+                return false;
             };
-            *s.departure(near) = Some(departure);
+            questions.push(segment, spot.omit);
+            *s.departure(near) = Some(Departure::Free(origin));
+            true
+        });
+        self.any_each(questions, batch)?;
+        for (&i, _) in wanted.iter().zip(&questions.blocked).filter(|x| *x.1) {
+            let s = &mut struck[i as usize];
+            if let Some(Departure::Free(origin)) = *s.departure(near) {
+                let past = self.leave_past(&s.meeting.spot.side(near), origin, s.meeting.path(near))?;
+                *s.departure(near) = Some(past);
+            }
         }
         Ok(())
     }
@@ -299,12 +289,12 @@ impl World {
         self.depart_onward(wave)?;
         let Wave { depth, counts, colors, front, next, waiting, struck, .. } = wave;
         next.clear();
-        let mut struck = struck.drain(..).peekable();
+        let mut struck = struck.iter().peekable();
         for (about, i) in front.about.iter().zip(0u32..) {
             let (sum, waiting) = (&mut colors[about.sample as usize], &mut waiting[about.sample as usize]);
             let Some(s) = struck.next_if(|s| s.ray == i) else {
                 *sum += about.weight * self.scene.background;
-                next.take(waiting.pop());
+                next.take(waiting);
                 continue;
             };
             let Meeting { ref spot, incoming, .. } = s.meeting;
@@ -320,27 +310,26 @@ impl World {
                     None => color += weight * self.scene.background,
                     Some(ahead) => {
                         counts.refracted += 1;
-                        color += Color::ZERO;
-                        waiting.push(about.then(ahead, weight));
+                        waiting.push((ahead.ray, about.then(weight, ahead.blocker)));
                     }
                 }
             }
-            if mirrored != Color::ZERO {
-                let going = about.goes_on(mirrored, *depth);
-                let going = if going { ahead(&s.near, mirror(spot, incoming)) } else { None };
-                match going {
-                    None => color += mirrored * self.scene.background,
-                    Some(ahead) => {
-                        counts.mirror += 1;
-                        color += Color::ZERO;
-                        waiting.push(about.then(ahead, mirrored));
+            let goes_on = mirrored != Color::ZERO && about.goes_on(mirrored, *depth);
+            match if goes_on { ahead(&s.near, mirror(spot, incoming)) } else { None } {
+                None => {
+                    if mirrored != Color::ZERO {
+                        color += mirrored * self.scene.background;
                     }
+                    next.take(waiting);
+                }
+                // Before what was refracted here.
+                Some(ahead) => {
+                    counts.mirror += 1;
+                    next.push(ahead.ray, about.then(mirrored, ahead.blocker));
                 }
             }
             *sum += about.weight * color;
-            next.take(waiting.pop());
         }
-        drop(struck);
         std::mem::swap(front, next);
         Ok(())
     }
