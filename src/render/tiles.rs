@@ -150,23 +150,22 @@ impl<'w> Job<'w> {
 
     /// One thread: takes tiles until none is left.
     fn work(&self, order: &[[u32; 2]], tile: u32, shared: &Shared<'_>, monitor: Monitor<'_>) {
-        let mut wave = Wave::new(self.depth);
-        let (mut pixels, mut samples) = (Vec::new(), Vec::new());
+        let mut desk = Desk::new(self.depth);
         while !shared.stop.load(Ordering::Relaxed) && !monitor.stopped() {
             let Some(&[i, j]) = order.get(shared.next.fetch_add(1, Ordering::Relaxed)) else { return };
             let (x0, y0) = (i * tile, j * tile);
             let (x1, y1) = (x0.saturating_add(tile).min(self.width), y0.saturating_add(tile).min(self.height));
-            wave.counts = RayCounts::default();
+            desk.wave.counts = RayCounts::default();
             let stopped = || monitor.stopped() || shared.stop.load(Ordering::Relaxed);
-            let done = self.tile([x0, y0, x1, y1], &mut pixels, &mut samples, &mut wave, &stopped);
+            let done = self.tile([x0, y0, x1, y1], &mut desk, &stopped);
             let done = self.world.fault().and(done);
             let mut state = shared.state.lock().unwrap_or_else(|poison| poison.into_inner());
             match done {
                 Ok(false) => return,
                 Ok(true) => {
-                    let rows = pixels.chunks((x1 - x0) as usize);
+                    let rows = desk.pixels.chunks((x1 - x0) as usize);
                     rows.zip(y0..).for_each(|(row, y)| state.film.put(x0, y, row));
-                    state.statistics.rays += wave.counts;
+                    state.statistics.rays += desk.wave.counts;
                     state.statistics.tiles += 1;
                     monitor.progress(state.statistics.tiles, Some(order.len() as u64), "tiles");
                 }
@@ -179,38 +178,32 @@ impl<'w> Job<'w> {
     }
 
     /// The pixels of one tile, rows from the top; false if it was broken off.
-    fn tile(
-        &self,
-        [x0, y0, x1, y1]: [u32; 4],
-        pixels: &mut Vec<[f32; 3]>,
-        sums: &mut Vec<DVec3>,
-        wave: &mut Wave,
-        stopped: &dyn Fn() -> bool,
-    ) -> Result<bool> {
-        let width = x1 - x0;
+    fn tile(&self, [x0, y0, x1, y1]: [u32; 4], desk: &mut Desk, stopped: &dyn Fn() -> bool) -> Result<bool> {
+        let (width, height) = (x1 - x0, y1 - y0);
         let count = self.k * self.k;
-        sums.clear();
-        sums.resize((width * (y1 - y0)) as usize, DVec3::ZERO);
-        let order = blocks(width, y1 - y0).flat_map(|pixel| (0..count).map(move |s| (pixel, s)));
-        let mut order = order.peekable();
-        let mut places = Vec::with_capacity(WAVE);
-        while order.peek().is_some() {
-            wave.clear();
-            places.clear();
-            for ([x, y], s) in order.by_ref().take(WAVE) {
-                wave.add(self.ray(self.corner[0] + x0 + x, self.corner[1] + y0 + y, s));
-                places.push((y * width + x) as usize);
-            }
-            while self.world.follow(wave)? {
-                if stopped() {
-                    return Ok(false);
+        desk.sums.clear();
+        desk.sums.resize((width * height) as usize, DVec3::ZERO);
+        desk.clear();
+        for [left, top] in blocks(width, height) {
+            for code in 0..BLOCK * BLOCK {
+                let [x, y] = [left + every_other(code), top + every_other(code >> 1)];
+                if x >= width || y >= height {
+                    continue;
+                }
+                for s in 0..count {
+                    desk.wave.add(self.ray(self.corner[0] + x0 + x, self.corner[1] + y0 + y, s));
+                    desk.places.push(y * width + x);
+                    if desk.places.len() == WAVE && !desk.follow(self.world, stopped)? {
+                        return Ok(false);
+                    }
                 }
             }
-            // A pixel's samples come in their own order, so that its sum is the same whatever the waves.
-            places.iter().zip(wave.colors()).for_each(|(&place, &color)| sums[place] += color);
         }
-        pixels.clear();
-        pixels.extend(sums.iter().map(|&sum| (sum / f64::from(count)).as_vec3().to_array()));
+        if !desk.follow(self.world, stopped)? {
+            return Ok(false);
+        }
+        desk.pixels.clear();
+        desk.pixels.extend(desk.sums.iter().map(|&sum| (sum / f64::from(count)).as_vec3().to_array()));
         Ok(true)
     }
 
@@ -221,13 +214,47 @@ impl<'w> Job<'w> {
     }
 }
 
-/// The pixels of a rectangle, in blocks.
+/// What one thread works with.
+struct Desk {
+    wave: Wave,
+    /// The pixel of each sample of the wave.
+    places: Vec<u32>,
+    /// The sums of each pixel's samples.
+    sums: Vec<DVec3>,
+    pixels: Vec<[f32; 3]>,
+}
+
+impl Desk {
+    fn new(depth: u32) -> Desk {
+        Desk { wave: Wave::new(depth), places: Vec::new(), sums: Vec::new(), pixels: Vec::new() }
+    }
+
+    /// Begins another wave.
+    fn clear(&mut self) {
+        self.wave.clear();
+        self.places.clear();
+    }
+
+    /// Follows the wave to its end, adds what it has gathered, and begins another; false if it was broken off.
+    fn follow(&mut self, world: &World, stopped: &dyn Fn() -> bool) -> Result<bool> {
+        while world.follow(&mut self.wave)? {
+            if stopped() {
+                return Ok(false);
+            }
+        }
+        // A pixel's samples come in their own order, so that its sum is the same whatever the waves.
+        for (&place, &color) in self.places.iter().zip(self.wave.colors()) {
+            self.sums[place as usize] += color;
+        }
+        self.clear();
+        Ok(true)
+    }
+}
+
+/// The top-left corners of the blocks of a rectangle.
 fn blocks(width: u32, height: u32) -> impl Iterator<Item = [u32; 2]> {
-    let corners = (0..height).step_by(BLOCK as usize);
-    let corners = corners.flat_map(move |y| (0..width).step_by(BLOCK as usize).map(move |x| [x, y]));
-    let pixels = corners
-        .flat_map(|[x, y]| (0..BLOCK * BLOCK).map(move |code| [x + every_other(code), y + every_other(code >> 1)]));
-    pixels.filter(move |&[x, y]| x < width && y < height)
+    let rows = (0..height).step_by(BLOCK as usize);
+    rows.flat_map(move |y| (0..width).step_by(BLOCK as usize).map(move |x| [x, y]))
 }
 
 /// Bits 0, 2 and 4.

@@ -10,6 +10,9 @@ use crate::error::Result;
 use crate::geometry::{Ray, Skip};
 use crate::trace::{Counters, Found};
 
+/// Hits nothing.
+const NO_RAY: Ray = Ray { origin: [0.0; 3], direction: [0.0; 3], tmin: 0.0, tmax: 0.0 };
+
 /// Rays as one mesh sees them, and its answers; kept so that a batch allocates nothing.
 #[derive(Default)]
 pub(super) struct Batch {
@@ -93,9 +96,10 @@ impl World {
     ) -> Result<()> {
         let Batch { rays: seen, skips, found, .. } = batch;
         let to_local = placed.to_local.as_ref();
-        let reach = |ray: &WorldRay, best: &Option<Contact>| best.as_ref().map_or(ray.tmax, |b| b.t);
-        seen.clear();
-        seen.extend(rays.iter().zip(&*contacts).map(|(ray, best)| ray.seen_by(object, to_local, reach(ray, best))));
+        seen.resize(rays.len(), NO_RAY);
+        for ((seen, ray), best) in seen.iter_mut().zip(rays).zip(&*contacts) {
+            *seen = ray.seen_by(object, to_local, best.as_ref().map_or(ray.tmax, |b| b.t));
+        }
         skips.clear();
         skips.resize(rays.len(), Skip::NONE);
         found.resize(rays.len(), None);

@@ -67,15 +67,13 @@ pub(super) fn step_off(
 
 /// `q` rounded to f32, each component in the direction in which it was moved from `p`.
 fn away(p: DVec3, q: DVec3) -> Vec3 {
+    // Chosen without a branch: which way a number was rounded, nobody can foresee.
     let component = |p: f64, q: f64| {
         let r = q as f32;
-        if q > p && f64::from(r) < q {
-            r.next_up()
-        } else if q < p && f64::from(r) > q {
-            r.next_down()
-        } else {
-            r
-        }
+        let below = (q > p) & (f64::from(r) < q);
+        let above = (q < p) & (f64::from(r) > q);
+        let outward = if below { r.next_up() } else { r.next_down() };
+        if below | above { outward } else { r }
     };
     Vec3::new(component(p.x, q.x), component(p.y, q.y), component(p.z, q.z))
 }
