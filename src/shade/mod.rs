@@ -37,6 +37,8 @@ mod tests;
 mod texture;
 mod tree;
 mod wave;
+#[cfg(test)]
+mod wave_tests;
 mod whitted;
 mod world;
 
