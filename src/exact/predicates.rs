@@ -10,6 +10,7 @@ pub(crate) const U: f64 = 1.0 / 9_007_199_254_740_992.0;
 
 /// The side of the triangle's plane on which `point` lies: `Greater` where (b - a) x (c - a) points, `Equal` on the plane
 /// (always, for a triangle without area). Exact for finite coordinates.
+#[inline]
 pub fn side(triangle: &Triangle, point: [f32; 3]) -> Ordering {
     let [a, b, c] = triangle.vertices().map(|v| v.to_array());
     let difference =
@@ -26,6 +27,12 @@ pub fn side(triangle: &Triangle, point: [f32; 3]) -> Ordering {
     if value.abs() > 9.0 * U * permanent {
         return if value > 0.0 { Ordering::Greater } else { Ordering::Less };
     }
+    exact_side(a, b, c, point)
+}
+
+/// The same where the bound does not settle it.
+#[cold]
+fn exact_side(a: [f32; 3], b: [f32; 3], c: [f32; 3], point: [f32; 3]) -> Ordering {
     dot(&cross(&subtract(b, a), &subtract(c, a)), &subtract(point, a)).sign()
 }
 

@@ -93,6 +93,7 @@ impl World {
     ///
     /// The shift leans from the normal toward the path: along the normal alone an origin beside an edge would stay in the
     /// plane of a neighbour at a right angle.
+    #[inline]
     pub(super) fn first_origin(&self, side: &Side<'_>, path: Path) -> Option<(Origin, WorldRay)> {
         let origin = self.beside(side, side.normal + path.direction, 1.0)?;
         let (segment, _) = segment(side, &origin, path);
@@ -114,6 +115,7 @@ impl World {
     }
 
     /// A point certified to lie strictly on the side that is left, from the spot's point along `along` (world space).
+    #[inline]
     fn beside(&self, side: &Side<'_>, along: DVec3, times: f64) -> Option<Origin> {
         let Side { spot, front, .. } = *side;
         let object = spot.omit.object;
@@ -177,6 +179,7 @@ impl World {
 }
 
 /// The segment from `origin` back to the spot and a little way up the path, and its parameter there.
+#[inline]
 fn segment(side: &Side<'_>, origin: &Origin, path: Path) -> (WorldRay, f64) {
     let point = side.spot.point;
     let distance = (point - origin.world).length();

@@ -253,6 +253,7 @@ impl Facets {
 }
 
 /// Whether `point` lies strictly on the front of the triangle (counter-clockwise seen from there) or strictly behind it.
+#[inline]
 pub(super) fn strictly_on(triangle: &Triangle, point: Vec3, front: bool) -> bool {
     exact::side(triangle, point.to_array()) == if front { Ordering::Greater } else { Ordering::Less }
 }

@@ -104,9 +104,6 @@ impl Wave {
         self.counts.primary += 1;
         self.colors.push(Color::ZERO);
         self.front.push(ray, Pending { weight: Color::ONE, bounces: 0, sample, blocker: None });
-        if self.waiting.len() < self.colors.len() {
-            self.waiting.push(Vec::new());
-        }
     }
 
     /// The linear colours that the samples have gathered; whole when [`World::follow`] has no more to do.
@@ -177,6 +174,9 @@ impl World {
 
     /// Follows each sample's next ray; whether there are more. After an error the wave is to be cleared.
     pub fn follow(&self, wave: &mut Wave) -> Result<bool> {
+        if wave.waiting.len() < wave.colors.len() {
+            wave.waiting.resize_with(wave.colors.len(), Vec::new);
+        }
         self.strike(wave)?;
         for light in &self.scene.lights {
             self.shine(light, wave)?;

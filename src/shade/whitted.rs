@@ -89,6 +89,7 @@ impl World {
     }
 
     /// Where a ray met what it did.
+    #[inline]
     pub(super) fn meet_contact(&self, ray: &WorldRay, contact: &Contact) -> Result<Meeting> {
         let spot = self.spot(contact, ray)?;
         let reach = (spot.point - ray.origin).length();
