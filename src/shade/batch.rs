@@ -114,15 +114,15 @@ impl World {
         Ok(())
     }
 
-    /// Answers all questions.
-    pub(super) fn any_each(&self, questions: &mut Questions, batch: &mut Batch) -> Result<()> {
+    /// Answers all questions; meshes are told that the rays are `short`.
+    pub(super) fn any_each(&self, questions: &mut Questions, short: bool, batch: &mut Batch) -> Result<()> {
         let Questions { rays, omits, blocked } = questions;
         blocked.clear();
         blocked.resize(rays.len(), false);
         for &number in &self.always {
             let object = &self.objects[number as usize];
             match &object.kind {
-                Kind::Mesh(placed) => self.any_of_mesh(number, placed, rays, omits, blocked, batch)?,
+                Kind::Mesh(placed) => self.any_of_mesh(number, placed, short, rays, omits, blocked, batch)?,
                 _ => {
                     for ((ray, &omit), blocked) in rays.iter().zip(&*omits).zip(&mut *blocked).filter(|x| !*x.1) {
                         *blocked = object.any(&self.meshes, number, ray, omit)?;
@@ -139,10 +139,12 @@ impl World {
     }
 
     /// Asks a mesh about the rays that nothing else blocks.
+    #[expect(clippy::too_many_arguments, reason = "questions in parts, one of which is changed")]
     fn any_of_mesh(
         &self,
         object: u32,
         placed: &Placed,
+        short: bool,
         rays: &[WorldRay],
         omits: &[Omit],
         blocked: &mut [bool],
@@ -158,7 +160,11 @@ impl World {
             places.push(i as u32);
         }
         answers.resize(seen.len(), false);
-        self.meshes[placed.mesh].tracer.any_each(seen, skips, answers, &mut Counters::default())?;
+        let (tracer, counters) = (&self.meshes[placed.mesh].tracer, &mut Counters::default());
+        match short {
+            true => tracer.any_short(seen, skips, answers, counters)?,
+            false => tracer.any_each(seen, skips, answers, counters)?,
+        }
         for (&place, &answer) in places.iter().zip(&*answers) {
             blocked[place as usize] = answer;
         }

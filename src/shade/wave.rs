@@ -221,7 +221,7 @@ impl World {
             *s.departure(near) = Some(Departure::Free(origin));
             true
         });
-        self.any_each(questions, batch)?;
+        self.any_each(questions, true, batch)?;
         for (&i, _) in wanted.iter().zip(&questions.blocked).filter(|x| *x.1) {
             let s = &mut struck[i as usize];
             if let Some(Departure::Free(origin)) = *s.departure(near) {
@@ -257,7 +257,7 @@ impl World {
             true
         });
         counts.shadow += lit.len() as u64;
-        self.any_each(questions, batch)?;
+        self.any_each(questions, false, batch)?;
         match *light {
             Light::Sun { .. } => {}
             Light::Point { position, .. } => self.pardon(position, questions, ends, batch)?,
@@ -274,7 +274,7 @@ impl World {
         for (ray, omit, _) in ways.answered().filter(|x| x.2) {
             ends.push(ray.between(AT_LIGHT[0], AT_LIGHT[1]), omit);
         }
-        self.any_each(ends, batch)?;
+        self.any_each(ends, false, batch)?;
         let mut near_light = ends.blocked.iter();
         for (ray, omit, blocked) in ways.answered_mut().filter(|x| *x.2) {
             if near_light.next() == Some(&true) {

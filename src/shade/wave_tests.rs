@@ -224,8 +224,10 @@ fn batches_answer_as_single_questions_do() {
                 }
             }
         }
-        world.any_each(&mut questions, &mut batch).unwrap();
-        assert_eq!(questions.blocked, want);
+        for short in [true, false] {
+            world.any_each(&mut questions, short, &mut batch).unwrap();
+            assert_eq!(questions.blocked, want);
+        }
         assert!(want.iter().filter(|&&b| b).count() > 100 && want.iter().filter(|&&b| !b).count() > 100);
     }
 }

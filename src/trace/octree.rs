@@ -5,6 +5,7 @@ use std::borrow::Borrow;
 use super::arch::Isa;
 use super::ask::{Ask, Least, LeastHit, Whether};
 use super::flight::{Flight, STACKS};
+use super::near::Near;
 use super::setup::Scene;
 use super::walk::{File, OneByOne, STACK};
 use super::{Counters, Found, Tracer, batch};
@@ -114,6 +115,11 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
 
     fn bounds(&self) -> Aabb {
         self.scene.bounds
+    }
+
+    fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        self.isa.run(Near { octree: self.octree(), rays, skips, blocked, counters })?;
+        self.octree().fault()
     }
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
