@@ -12,7 +12,7 @@ use octrace::exact::Line;
 use octrace::format::SplitMode;
 use octrace::geometry::{FaceId, Hit, Ray, Skip};
 use octrace::map::Octree;
-use octrace::trace::{Found, Isa, LinearTracer, OctreeTracer, Tracer, all_hits};
+use octrace::trace::{Counters, Found, Isa, LinearTracer, OctreeTracer, Order, Tracer, all_hits};
 use trace_common::{Mesh, Random, nasty_ray};
 
 const SPLITS: [SplitMode; 3] = [SplitMode::Sah, SplitMode::Octree, SplitMode::Strict];
@@ -202,12 +202,67 @@ fn whatever_walks_it() {
             bench.check("every triangle", &LinearTracer::new(&octree).unwrap());
             for isa in Isa::available() {
                 bench.check(&format!("{split:?} {}", isa.name()), &OctreeTracer::new(&octree).with_isa(isa));
-                let several = OctreeTracer::new(&octree).with_isa(isa).with_flight(true);
-                bench.check(&format!("{split:?} {} several rays at a time", isa.name()), &several);
+                for order in [Order::Single, Order::Flight, Order::Packet] {
+                    let tracer = OctreeTracer::new(&octree).with_isa(isa).with_order(order);
+                    bench.check(&format!("{split:?} {} {order:?}", isa.name()), &tracer);
+                }
                 let backward = OctreeTracer::new(&octree).with_isa(isa).backward();
                 bench.check(&format!("{split:?} {} far to near", isa.name()), &backward);
             }
         }
+    }
+}
+
+/// Rays that run beside one that is aimed at something nasty; from its origin, or from points around it.
+fn beside(ray: Ray, apart: f32, random: &mut Random) -> Vec<Ray> {
+    let largest = ray.direction.iter().fold(0f32, |m, d| m.max(d.abs()));
+    let nudge = |x: f32, by: f32, random: &mut Random| x + by * (random.below(2001) as f32 / 1000.0 - 1.0);
+    let reach = random.pick(&[1e-7, 1e-5, 1e-3, 0.03]) * largest;
+    let count = [64, 63, 17, 16, 8][random.below(5)];
+    (0..count)
+        .map(|i| {
+            let exact = i % 5 == 0;
+            let direction = ray.direction.map(|d| if exact { d } else { nudge(d, reach, random) });
+            let origin = ray.origin.map(|o| if exact { o } else { nudge(o, apart, random) });
+            Ray { origin, direction, ..ray }
+        })
+        .collect()
+}
+
+#[test]
+fn in_packets() {
+    for bench in Bench::all() {
+        let (mut random, mut together, mut alone) = (Random(77), 0, 0);
+        let split = random.pick(&SPLITS);
+        let octree = bench.mesh.octree(&BuildOptions { split, brick: Some(300), ..BuildOptions::default() });
+        let size = octree.root().side() as f32;
+        for query in bench.queries.iter().take(300) {
+            let apart = random.pick(&[0.0, 1e-6, 1e-3]) * size;
+            let rays = beside(query.ray, apart, &mut random);
+            let skips: Vec<Skip> = rays.iter().map(|_| random.pick(&[query.skip, Skip::NONE])).collect();
+            let asked = |isa, order| {
+                let tracer = OctreeTracer::new(&octree).with_isa(isa).with_order(order);
+                let (mut found, mut blocked) = (vec![None; rays.len()], vec![false; rays.len()]);
+                let mut counters = Counters::default();
+                tracer.closest_each(&rays, &skips, &mut found, &mut counters).unwrap();
+                tracer.any_each(&rays, &skips, &mut blocked, &mut Counters::default()).unwrap();
+                (found, blocked, counters.nodes)
+            };
+            let (found, blocked, nodes) = asked(Isa::SCALAR, Order::Single);
+            for isa in Isa::available() {
+                let packed = asked(isa, Order::Packet);
+                let what = format!("{} {} {query:?} {apart}", bench.name, isa.name());
+                let of = |f: &Option<Found>| f.map(|f| (bits(f.hit), f.triangle));
+                for i in 0..rays.len() {
+                    assert_eq!(of(&packed.0[i]), of(&found[i]), "{what}: ray {i} {:?}", rays[i]);
+                    assert_eq!(packed.1[i], blocked[i], "{what}: any hit of ray {i} {:?}", rays[i]);
+                }
+                together += u64::from(packed.2 < nodes);
+                alone += 1;
+            }
+        }
+        // Else this compares a walk with itself.
+        assert!(20 * together > alone, "{}: {together} of {alone} went together", bench.name);
     }
 }
 

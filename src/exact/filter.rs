@@ -19,6 +19,9 @@
 //! those of E. With q = min(-min(U, V, W), max(U, V, W)): q > b means that two edge functions have certainly different
 //! signs, a miss; q < -b that all three have certainly one sign, a hit; else the lane is in doubt. NaN compares false: doubt.
 //!
+//! A packet shares its axes, so that a ray's slopes may exceed 1, up to S = 1.25. Then |x'| <= (1 + S) M, x' is off by
+//! eps M + 3 eps S M + eps (1 + S) M = 7 eps M, E = 7.02 eps M, and eps m <= 2.26 eps M <= E / 3.1: the rest holds as it stands.
+//!
 //! **Depth.** A lane that is certainly hit meets the ray at t = sum(u_i z_i) / (dz sum(u_i)), u_i being the exact edge functions and z_i the
 //! corners' exact depths. With U_i as computed, all of one sign and each off by at most b, with the z_i as computed, Z the largest |z_i|, R
 //! their range and D the computed sum of U_i, the quotient of the computed sums is off by
@@ -48,7 +51,7 @@ const TRUSTED: std::ops::RangeInclusive<f32> = 1.0 / (1u32 << 30) as f32..=(1u64
 const STEEP: std::ops::RangeInclusive<f32> = 1.0 / (1u128 << 100) as f32..=(1u128 << 100) as f32;
 
 /// A ray prepared for the filter.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Zeroable)]
 pub struct Shear {
     /// The axes that play x, y and z; z is the ray's major axis.
     pub axes: [usize; 3],
@@ -92,6 +95,9 @@ pub struct Lanes {
 }
 
 impl Shear {
+    /// The steepest slope that the bound of a packet allows for.
+    pub const STEEPEST: f32 = 1.25;
+
     /// Prepares a valid ray against triangles within `bounds`.
     #[inline(always)]
     pub fn new(ray: &Ray, bounds: Aabb) -> Shear {
@@ -112,7 +118,6 @@ impl Shear {
         let trusted = TRUSTED.contains(&m) & STEEP.contains(&d[z].abs());
         let constant = if trusted { 2.01 * e * e } else { f32::INFINITY };
         let inverse = 1.0 / d[z];
-        let (scale, underflow) = (inverse.abs(), 1.0 / (1u64 << 44) as f32);
         Shear {
             axes,
             origin: [o[x], o[y], o[z]],
@@ -121,8 +126,35 @@ impl Shear {
             linear: 5.4 * e,
             constant,
             inverse,
-            depth: [2.2 * scale, 12.0 * EPS * scale, scale * underflow + f32::MIN_POSITIVE],
+            depth: Shear::depth_factors(inverse),
         }
+    }
+
+    /// One of a packet of rays, whose slopes may be steeper than 1 but are at most [`Shear::STEEPEST`], from its parts; `axes` and `bound` are the packet's.
+    #[inline(always)]
+    pub fn assembled(axes: [usize; 3], origin: [f32; 3], [sx, sy]: [f32; 2], inverse: f32, bound: [f32; 2]) -> Shear {
+        let [linear, constant] = bound;
+        Shear { axes, origin, sx, sy, linear, constant, inverse, depth: Shear::depth_factors(inverse) }
+    }
+
+    /// The [`Shear::bound`] of rays that start between two points, have slopes up to [`Shear::STEEPEST`] and dz within `steep`.
+    pub fn bound_of(low: [f32; 3], high: [f32; 3], steep: [f32; 2], bounds: Aabb) -> [f32; 2] {
+        let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
+        let mut m = 0.0f32;
+        for i in 0..3 {
+            m = greater(m, greater((min[i] - high[i]).abs(), (max[i] - low[i]).abs()));
+        }
+        let m = m * (1.0 + 4.0 * EPS);
+        let e = 7.02 * EPS * m;
+        let trusted = TRUSTED.contains(&m) & STEEP.contains(&steep[0]) & STEEP.contains(&steep[1]);
+        [5.4 * e, if trusted { 2.01 * e * e } else { f32::INFINITY }]
+    }
+
+    /// Factors of b R / |D|, of Z and of 1 in the bound of t.
+    #[inline(always)]
+    pub fn depth_factors(inverse: f32) -> [f32; 3] {
+        let (scale, underflow) = (inverse.abs(), 1.0 / (1u64 << 44) as f32);
+        [2.2 * scale, 12.0 * EPS * scale, scale * underflow + f32::MIN_POSITIVE]
     }
 
     /// The origin on `axes`.

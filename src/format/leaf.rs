@@ -165,13 +165,13 @@ impl<'a> Leaf<'a> {
     }
 
     /// Coding 0: the vertex numbers of all corners a, b, c; triangle j's in bits 4j to 4j + 3.
-    #[inline]
+    #[inline(always)]
     pub fn corner_words(&self) -> [u64; 3] {
-        [8, 16, 24].map(|at| word(self.bytes, at))
+        [word(self.bytes, 8), word(self.bytes, 16), word(self.bytes, 24)]
     }
 
     /// Coding 1: the vertex numbers of all corners a, b, c; triangle j's in byte j. Zero in coding 0.
-    #[inline]
+    #[inline(always)]
     pub fn corner_bytes(&self) -> [[u8; 16]; 3] {
         match self.coding {
             Coding::Nibbles => [[0; 16]; 3],
@@ -180,29 +180,36 @@ impl<'a> Leaf<'a> {
     }
 
     /// Vertex numbers of triangle `j`'s corners, `j` below 16.
-    #[inline]
+    #[inline(always)]
     pub fn corners(&self, j: usize) -> [usize; 3] {
         match self.coding {
-            Coding::Nibbles => self.corner_words().map(|w| (w >> (4 * (j & 15)) & 15) as usize),
-            Coding::Bytes => [16, 32, 48].map(|at| usize::from(self.bytes[at + (j & 15)])),
+            Coding::Nibbles => {
+                let [a, b, c] = self.corner_words();
+                let at = 4 * (j & 15);
+                [(a >> at & 15) as usize, (b >> at & 15) as usize, (c >> at & 15) as usize]
+            }
+            Coding::Bytes => {
+                let (b, j) = (self.bytes, j & 15);
+                [usize::from(b[16 + j]), usize::from(b[32 + j]), usize::from(b[48 + j])]
+            }
         }
     }
 
     /// Triangle `j`, `j` below [`Leaf::len`]; its corners in the source's order.
-    #[inline]
+    #[inline(always)]
     pub fn triangle(&self, j: usize) -> Triangle {
         let [a, b, c] = self.corners(j).map(|i| self.vertex(i));
         Triangle { a, b, c }
     }
 
     /// Vertex `i`; the origin if there is none of that number.
-    #[inline]
+    #[inline(always)]
     pub fn vertex(&self, i: usize) -> Vec3 {
         Vec3::from_array([0, 1, 2].map(|axis| self.coordinates(axis).get(i).copied().unwrap_or(0.0)))
     }
 
     /// The coordinates of one axis (0 x, 1 y, 2 z) of all vertices.
-    #[inline]
+    #[inline(always)]
     pub fn coordinates(&self, axis: usize) -> &'a [f32] {
         let nv = self.vertices();
         let at = self.coding.coordinates_at() + 4 * nv * axis;
@@ -232,7 +239,7 @@ impl<'a> Leaf<'a> {
 }
 
 /// The little-endian u64 at `at`.
-#[inline]
+#[inline(always)]
 fn word(bytes: &[u8], at: usize) -> u64 {
     bytes[at..].first_chunk().map_or(0, |b| u64::from_le_bytes(*b))
 }

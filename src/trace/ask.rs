@@ -2,7 +2,7 @@
 
 use super::Found;
 use super::arch::Kernel;
-use super::collect::{Any, Closest, Collector};
+use super::collect::{Any, Closest, Collector, Rounding};
 use crate::exact::Line;
 use crate::geometry::{Hit, Ray, Skip};
 
@@ -13,8 +13,23 @@ pub(super) trait Ask {
     type Answer;
     /// The answer where nothing is hit.
     const NOTHING: Self::Answer;
-    fn begin<'a>(&self, ray: &Ray) -> Self::Collector<'a>;
-    fn end<K: Kernel>(kernel: K, collector: Self::Collector<'_>, ray: &Ray) -> Self::Answer;
+    /// For ray `i` of those that are asked about.
+    fn begin<'a>(&self, i: usize, ray: &Ray) -> Self::Collector<'a>;
+    /// Whether any hit will do.
+    const FIRST: bool;
+    /// What ray `i` leaves out.
+    fn skip(&self, i: usize) -> Skip;
+    /// The answer where a packet made a hit; with [`Ask::FIRST`] it is enough that there is one.
+    fn answer(found: Found) -> Self::Answer;
+    /// Gives the answers to up to 16 rays whose walks are over, each with its number among `rays` and `collectors`.
+    fn end<K: Kernel>(
+        kernel: K,
+        rays: &[Ray],
+        collectors: &[Self::Collector<'_>],
+        give: impl FnMut(usize, Self::Answer),
+    );
+    /// One that is never asked.
+    fn idle<'a>() -> Self::Collector<'a>;
 }
 
 /// The closest hit, after `last` if that is given.
@@ -29,13 +44,33 @@ impl Ask for Least<'_> {
     const NOTHING: Option<Found> = None;
 
     #[inline(always)]
-    fn begin<'a>(&self, ray: &Ray) -> Closest<'a> {
+    fn begin<'a>(&self, _: usize, ray: &Ray) -> Closest<'a> {
         self.last.map_or_else(|| Closest::new(self.skip), |last| Closest::after(self.skip, &Line::new(ray), last))
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(kernel: K, collector: Closest<'_>, ray: &Ray) -> Option<Found> {
-        collector.found(kernel, ray)
+    fn answer(found: Found) -> Option<Found> {
+        Some(found)
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Closest<'a> {
+        Closest::new(Skip::NONE)
+    }
+
+    const FIRST: bool = false;
+
+    #[inline(always)]
+    fn skip(&self, _: usize) -> Skip {
+        self.skip
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], mut give: impl FnMut(usize, Option<Found>)) {
+        let rounding = Rounding::of(kernel, rays, collectors);
+        for (i, (ray, collector)) in rays.iter().zip(collectors).enumerate() {
+            give(i, collector.found(ray, rounding.get(i)));
+        }
     }
 }
 
@@ -48,13 +83,103 @@ impl Ask for LeastHit {
     const NOTHING: Hit = Hit::MISS;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: &Ray) -> Closest<'a> {
+    fn begin<'a>(&self, _: usize, _: &Ray) -> Closest<'a> {
         Closest::new(Skip::NONE)
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(kernel: K, collector: Closest<'_>, ray: &Ray) -> Hit {
-        collector.found(kernel, ray).map_or(Hit::MISS, |found| found.hit)
+    fn answer(found: Found) -> Hit {
+        found.hit
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Closest<'a> {
+        Closest::new(Skip::NONE)
+    }
+
+    const FIRST: bool = false;
+
+    #[inline(always)]
+    fn skip(&self, _: usize) -> Skip {
+        Skip::NONE
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], mut give: impl FnMut(usize, Hit)) {
+        let rounding = Rounding::of(kernel, rays, collectors);
+        for (i, (ray, collector)) in rays.iter().zip(collectors).enumerate() {
+            give(i, collector.hit(ray, rounding.get(i)));
+        }
+    }
+}
+
+/// The closest hits, each ray leaving out its own.
+pub(super) struct LeastOfEach<'s>(pub &'s [Skip]);
+
+impl Ask for LeastOfEach<'_> {
+    type Collector<'a> = Closest<'a>;
+    type Answer = Option<Found>;
+    const NOTHING: Option<Found> = None;
+    const FIRST: bool = false;
+
+    #[inline(always)]
+    fn begin<'a>(&self, i: usize, _: &Ray) -> Closest<'a> {
+        Closest::new(self.skip(i))
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Closest<'a> {
+        Closest::new(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn skip(&self, i: usize) -> Skip {
+        self.0.get(i).copied().unwrap_or(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn answer(found: Found) -> Option<Found> {
+        Some(found)
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], give: impl FnMut(usize, Option<Found>)) {
+        Least::end(kernel, rays, collectors, give);
+    }
+}
+
+/// Whether anything is hit, each ray leaving out its own.
+pub(super) struct WhetherEach<'s>(pub &'s [Skip]);
+
+impl Ask for WhetherEach<'_> {
+    type Collector<'a> = Any<'a>;
+    type Answer = bool;
+    const NOTHING: bool = false;
+    const FIRST: bool = true;
+
+    #[inline(always)]
+    fn begin<'a>(&self, i: usize, _: &Ray) -> Any<'a> {
+        Any::new(self.skip(i))
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Any<'a> {
+        Any::new(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn skip(&self, i: usize) -> Skip {
+        self.0.get(i).copied().unwrap_or(Skip::NONE)
+    }
+
+    #[inline(always)]
+    fn answer(_: Found) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Any<'_>], give: impl FnMut(usize, bool)) {
+        Whether::end(kernel, rays, collectors, give);
     }
 }
 
@@ -67,12 +192,31 @@ impl Ask for Whether {
     const NOTHING: bool = false;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: &Ray) -> Any<'a> {
+    fn begin<'a>(&self, _: usize, _: &Ray) -> Any<'a> {
         Any::new(self.0)
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(_: K, collector: Any<'_>, _: &Ray) -> bool {
-        collector.found
+    fn answer(_: Found) -> bool {
+        true
+    }
+
+    #[inline(always)]
+    fn idle<'a>() -> Any<'a> {
+        Any::new(Skip::NONE)
+    }
+
+    const FIRST: bool = true;
+
+    #[inline(always)]
+    fn skip(&self, _: usize) -> Skip {
+        self.0
+    }
+
+    #[inline(always)]
+    fn end<K: Kernel>(_: K, _: &[Ray], collectors: &[Any<'_>], mut give: impl FnMut(usize, bool)) {
+        for (i, collector) in collectors.iter().enumerate() {
+            give(i, collector.found);
+        }
     }
 }

@@ -3,9 +3,11 @@
 use std::cmp::Ordering;
 use std::marker::PhantomData;
 
+use bytemuck::Zeroable;
+
 use super::Found;
-use super::arch::Kernel;
-use crate::exact::{Crossing, Depths, Lanes, Line};
+use super::arch::{Block, Kernel, Rounded};
+use crate::exact::{Crossing, Depths, LANES, Lanes, Line};
 use crate::format::{Leaf, PageId};
 use crate::geometry::{FaceId, Hit, Ray, Skip};
 use crate::map::Page;
@@ -50,6 +52,12 @@ pub(super) struct Stored<'a> {
 }
 
 impl Stored<'_> {
+    /// The face of triangle `lane` of the leaf.
+    #[inline(always)]
+    pub fn face(&self, lane: u32) -> FaceId {
+        self.page.face(self.leaf.first().wrapping_add(lane))
+    }
+
     /// Lanes without those of the triangles to be left out.
     #[inline(always)]
     fn without(&self, skip: Skip, lanes: u32) -> u32 {
@@ -60,7 +68,7 @@ impl Stored<'_> {
         while left != 0 {
             let lane = left.trailing_zeros();
             left &= left - 1;
-            if skip.has(self.page.face(self.leaf.first().wrapping_add(lane))) {
+            if skip.has(self.face(lane)) {
                 kept &= !(1 << lane);
             }
         }
@@ -108,17 +116,16 @@ impl<'a> Seen<'a> {
         self.stored.leaf.first().wrapping_add(self.lane)
     }
 
-    /// The answer, where f64 suffices; nothing for a page that turned to zeros.
+    /// The answer with t, u and v; nothing for a page that turned to zeros.
     #[inline(always)]
-    fn found<K: Kernel>(&self, kernel: K, ray: &Ray) -> Option<Found> {
+    fn found(&self, [t, u, v]: [f32; 3]) -> Option<Found> {
         let (Stored { page, id, leaf }, reference) = (&self.stored, self.reference());
-        let [t, u, v] = kernel.rounded(leaf, self.lane as usize, ray)?;
         let face = page.face(reference);
         let (hit, triangle) = (Hit { t, face, u, v }, leaf.triangle(self.lane as usize));
         (face != FaceId::NONE).then_some(Found { hit, triangle, page: *id, reference })
     }
 
-    /// The same with all that can be known; `None` for a page that turned to zeros.
+    /// The hit with all that can be known; `None` for a page that turned to zeros.
     #[inline(never)]
     fn settle(&self, line: &Line) -> Option<Settled> {
         let reference = self.reference();
@@ -126,6 +133,53 @@ impl<'a> Seen<'a> {
         let t = crossing.t_within(line)?;
         let face = self.stored.page.face(reference);
         (face != FaceId::NONE).then_some(Settled { crossing, t, face, page: self.stored.id, reference })
+    }
+}
+
+/// The t, u and v of up to 16 rays whose walks are over, many at once.
+pub(super) struct Rounding {
+    block: Block,
+    rounded: Rounded,
+    /// Which rays of the batch stand in the block, a bit each.
+    inside: u32,
+}
+
+impl Rounding {
+    /// Rounds the hits that were seen.
+    #[inline(always)]
+    pub fn of<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>]) -> Rounding {
+        let mut this = Rounding { block: Block::zeroed(), rounded: Rounded::zeroed(), inside: 0 };
+        let mut count = 0;
+        for (i, (ray, collector)) in rays.iter().zip(collectors).enumerate().take(LANES) {
+            let Best::Seen(Seen { stored: Stored { leaf, .. }, lane, .. }) = &collector.best else { continue };
+            let [a, b, c] = leaf.corners(*lane as usize);
+            let mut whole = true;
+            for axis in 0..3 {
+                let x = leaf.coordinates(axis);
+                let (Some(&xa), Some(&xb), Some(&xc)) = (x.get(a), x.get(b), x.get(c)) else {
+                    whole = false;
+                    break;
+                };
+                let block = &mut this.block;
+                (block.a[axis].0[count], block.b[axis].0[count], block.c[axis].0[count]) = (xa, xb, xc);
+                block.origin[axis].0[count] = ray.origin[axis];
+                block.direction[axis].0[count] = ray.direction[axis];
+            }
+            this.inside |= u32::from(whole) << i;
+            count += usize::from(whole);
+        }
+        if count > 0 {
+            kernel.rounded(&this.block, u32::MAX >> (32 - count), &mut this.rounded);
+        }
+        this
+    }
+
+    /// t, u and v of ray i, if f64 sufficed.
+    #[inline(always)]
+    pub fn get(&self, i: usize) -> Option<[f32; 3]> {
+        let lane = (self.inside & !(u32::MAX << (i & 31))).count_ones() as usize & (LANES - 1);
+        let certain = self.inside >> (i & 31) & self.rounded.certain >> lane & 1 != 0;
+        certain.then_some([self.rounded.t.0[lane], self.rounded.u.0[lane], self.rounded.v.0[lane]])
     }
 }
 
@@ -151,18 +205,37 @@ impl<'a> Closest<'a> {
         }
     }
 
-    /// The answer.
+    /// The answer. `rounded` has t, u and v if f64 sufficed.
     #[inline(always)]
-    pub fn found<K: Kernel>(&self, kernel: K, ray: &Ray) -> Option<Found> {
-        match &self.best {
-            Best::None => None,
-            Best::Seen(seen) => seen.found(kernel, ray).or_else(|| self.found_exactly(ray)),
-            Best::Settled(_) => self.found_exactly(ray),
+    pub fn found(&self, ray: &Ray, rounded: Option<[f32; 3]>) -> Option<Found> {
+        match (&self.best, rounded) {
+            (Best::None, _) => None,
+            (Best::Seen(seen), Some(rounded)) => seen.found(rounded).or_else(|| self.found_exactly(ray)),
+            _ => self.found_exactly(ray),
+        }
+    }
+
+    /// The hit alone of the answer.
+    #[inline(always)]
+    pub fn hit(&self, ray: &Ray, rounded: Option<[f32; 3]>) -> Hit {
+        if let Best::None = self.best {
+            return Hit::MISS;
+        }
+        if let (Best::Seen(seen), Some([t, u, v])) = (&self.best, rounded) {
+            let face = seen.stored.face(seen.lane);
+            if face != FaceId::NONE {
+                return Hit { t, face, u, v };
+            }
+        }
+        match self.found_exactly(ray) {
+            Some(found) => found.hit,
+            None => Hit::MISS,
         }
     }
 
     /// The same where f64 does not suffice, or the hit was settled before.
     #[cold]
+    #[inline(never)]
     pub fn found_exactly(&self, ray: &Ray) -> Option<Found> {
         let line = Line::new(ray);
         let Settled { crossing, t, face, page, reference } = self.settled(&line)?;

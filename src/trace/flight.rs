@@ -13,7 +13,7 @@ use super::arch::{Job, Kernel, Saved};
 use super::ask::Ask;
 use super::collect::{Collector, Next, Stored};
 use super::setup::Setup;
-use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Level, Sight, Start, TOP, View, cell_of, keep, range, take};
+use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Level, Start, TOP, View, cell_of, keep, range, take};
 use crate::error::Result;
 use crate::exact::{Depths, Lanes, Shear};
 use crate::geometry::Ray;
@@ -52,7 +52,9 @@ pub(super) type Stacks = [Stack; RAYS];
 struct Flying<'a, C> {
     /// The node under way: its frame and the entries of its slots.
     saved: Saved,
-    sight: Sight,
+    setup: Setup,
+    shear: Shear,
+    depths: Depths,
     view: View<'a>,
     node: u32,
     /// Slots left to visit.
@@ -87,7 +89,9 @@ impl<A: Ask> Job for Flight<'_, '_, A> {
         let mut flying: [Flying<'_, A::Collector<'_>>; RAYS] = std::array::from_fn(|stack| Flying {
             stack,
             saved: Saved::zeroed(),
-            sight: Sight { setup: Setup::blank(), shear: Shear::default(), depths: Depths::BLANK },
+            setup: Setup::zeroed(),
+            shear: Shear::default(),
+            depths: Depths::BLANK,
             view: start.view,
             node: 0,
             left: 0,
@@ -97,7 +101,7 @@ impl<A: Ask> Job for Flight<'_, '_, A> {
             leaf: None,
             ray: Ray::new([0.0; 3], [0.0; 3]),
             place: 0,
-            collector: ask.begin(&Ray::new([0.0; 3], [0.0; 3])),
+            collector: ask.begin(0, &rays[0]),
         });
         let mut aloft = 0;
         while aloft < RAYS
@@ -114,8 +118,8 @@ impl<A: Ask> Job for Flight<'_, '_, A> {
                     i += 1;
                     continue;
                 }
-                let blank = ask.begin(&ray.ray);
-                answers[ray.place] = A::end(kernel, std::mem::replace(&mut ray.collector, blank), &ray.ray);
+                let (ended, collector) = (std::slice::from_ref(&ray.ray), std::slice::from_ref(&ray.collector));
+                A::end(kernel, ended, collector, |_, answer| answers[ray.place] = answer);
                 if !launch(kernel, &ask, rays, answers, &mut next, &file, &start, ray, counters) {
                     // The last one takes this place.
                     aloft -= 1;
@@ -144,11 +148,11 @@ fn launch<'a, K: Kernel, A: Ask>(
     while let Some(ray) = rays.get(*next) {
         let place = *next;
         *next += 1;
-        if !flying.sight.setup.aim(kernel, ray, file.scene) {
+        if !flying.setup.aim(kernel, ray, file.scene) {
             answers[place] = A::NOTHING;
             continue;
         }
-        let setup = &flying.sight.setup;
+        let setup = &flying.setup;
         let frame = kernel.frame(&start.cell, &setup.aim, &setup.way);
         let (left, near) = kernel.touch(start.view.node(0), frame, &setup.way, setup.far);
         kernel.save(&mut flying.saved, frame, near);
@@ -157,7 +161,7 @@ fn launch<'a, K: Kernel, A: Ask>(
         flying.far = setup.far;
         flying.view = start.view;
         (flying.node, flying.left, flying.top, flying.sheared, flying.leaf) = (0, left, 0, false, None);
-        (flying.ray, flying.place, flying.collector) = (*ray, place, ask.begin(ray));
+        (flying.ray, flying.place, flying.collector) = (*ray, place, ask.begin(place, ray));
         return true;
     }
     false
@@ -172,9 +176,11 @@ fn step<'a, K: Kernel, C: Collector<'a>>(
     stack: &mut [Level; LEVELS],
     counters: &mut Counters,
 ) -> Result<bool> {
-    let Flying { saved, sight, view, node: index, left, top, far, sheared, leaf, ray, collector, .. } = flying;
+    let Flying {
+        saved, setup, shear, depths, view, node: index, left, top, far, sheared, leaf, ray, collector, ..
+    } = flying;
     if let Some((stored, lanes)) = leaf.take() {
-        match take(&stored, lanes, ray, sight, far, collector, counters) {
+        match take(&stored, lanes, ray, setup, depths, far, collector, counters) {
             Next::On => {}
             Next::Nearer => *left &= kernel.within(kernel.load(saved).1, *far),
             Next::Done => return Ok(false),
@@ -197,16 +203,16 @@ fn step<'a, K: Kernel, C: Collector<'a>>(
         }
     }
     let node = view.node(*index);
-    let slot = (left.trailing_zeros() & 7) as usize ^ usize::from(sight.setup.way.order & 7);
+    let slot = (left.trailing_zeros() & 7) as usize ^ usize::from(setup.way.order & 7);
     *left &= *left - 1;
     let byte = node.slots[slot];
     if byte < EMPTY {
         let Some(stored) = file.stored(view, *index, node, byte, counters) else { return Ok(true) };
         if !*sheared {
             *sheared = true;
-            sight.shear = Shear::new(ray, file.scene.bounds);
+            *shear = Shear::new(ray, file.scene.bounds);
         }
-        let lanes = kernel.classify(&stored.leaf, &sight.shear, range(ray, collector), &mut sight.depths);
+        let lanes = kernel.classify(&stored.leaf, shear, range(ray, collector), depths);
         if lanes.accept | lanes.doubt != 0 {
             *leaf = Some((stored, lanes));
         }
@@ -218,7 +224,7 @@ fn step<'a, K: Kernel, C: Collector<'a>>(
             *top = keep(kernel, stack, *top, (frame, near), [*index, view.number, *left]);
         }
         *index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
-        kernel.child(frame, node, slot, &sight.setup.way)
+        kernel.child(frame, node, slot, &setup.way)
     } else if byte & BRICK == BRICK && view.page.is_none() {
         let number = node.first_leaf.wrapping_add(u32::from(byte & 0x3f));
         let Some(brick) = file.brick(number) else { return Ok(true) };
@@ -228,12 +234,12 @@ fn step<'a, K: Kernel, C: Collector<'a>>(
         counters.bricks += 1;
         *view = file.view(number)?;
         *index = 0;
-        kernel.frame(&cell_of(brick), &sight.setup.aim, &sight.setup.way)
+        kernel.frame(&cell_of(brick), &setup.aim, &setup.way)
     } else {
         return Ok(true);
     };
     counters.nodes += 1;
-    let (touched, near) = kernel.touch(view.node(*index), frame, &sight.setup.way, *far);
+    let (touched, near) = kernel.touch(view.node(*index), frame, &setup.way, *far);
     *left = touched;
     kernel.save(saved, frame, near);
     Ok(true)

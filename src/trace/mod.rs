@@ -17,6 +17,7 @@ mod flight;
 mod linear;
 mod near;
 mod octree;
+mod packet;
 mod setup;
 mod walk;
 
@@ -30,7 +31,7 @@ pub use arch::Isa;
 pub use attributes::{Attributes, attributes};
 pub use boxes::{Stored, triangles_in_box};
 pub use linear::LinearTracer;
-pub use octree::OctreeTracer;
+pub use octree::{OctreeTracer, Order};
 
 /// Rays that one task of a batch takes.
 const BATCH: usize = 1024;
@@ -76,10 +77,11 @@ pub trait Tracer: Send + Sync {
         self.any_counted(ray, skip, &mut Counters::default())
     }
 
-    /// The closest hits of rays on this thread, each leaving out its own `skips[i]`; `found[i]` answers `rays[i]`.
+    /// The closest hits of rays on this thread, each leaving out its own `skips[i]`; `found[i]` answers `rays[i]`. Adds the
+    /// work done to `counters`.
     ///
     /// # Panics
-    /// May panic if the slices differ in length.
+    /// If the slices differ in length.
     fn closest_each(
         &self,
         rays: &[Ray],
@@ -87,19 +89,22 @@ pub trait Tracer: Send + Sync {
         found: &mut [Option<Found>],
         counters: &mut Counters,
     ) -> Result<()> {
-        for ((ray, &skip), found) in rays.iter().zip(skips).zip(found) {
-            *found = self.closest_counted(ray, skip, counters)?;
+        assert!(rays.len() == skips.len() && rays.len() == found.len(), "a skip and an answer a ray");
+        for ((ray, skip), found) in rays.iter().zip(skips).zip(found) {
+            *found = self.closest_counted(ray, *skip, counters)?;
         }
         Ok(())
     }
 
     /// Whether each of the rays hits anything, on this thread, each leaving out its own `skips[i]`; `blocked[i]` answers `rays[i]`.
+    /// Adds the work done to `counters`.
     ///
     /// # Panics
-    /// May panic if the slices differ in length.
+    /// If the slices differ in length.
     fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
-        for ((ray, &skip), blocked) in rays.iter().zip(skips).zip(blocked) {
-            *blocked = self.any_counted(ray, skip, counters)?;
+        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        for ((ray, skip), blocked) in rays.iter().zip(skips).zip(blocked) {
+            *blocked = self.any_counted(ray, *skip, counters)?;
         }
         Ok(())
     }
@@ -108,7 +113,7 @@ pub trait Tracer: Send + Sync {
     /// faster for these, much slower for long ones.
     ///
     /// # Panics
-    /// May panic if the slices differ in length.
+    /// If the slices differ in length.
     fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
         self.any_each(rays, skips, blocked, counters)
     }

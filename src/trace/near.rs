@@ -9,7 +9,7 @@
 //! leaf that stores its triangle, and in the ray's: so no hit is lost, and what decides it is the triangle's own test.
 
 use super::Counters;
-use super::arch::{Job, Kernel};
+use super::arch::{Job, Kernel, Row, WIDE};
 use crate::error::Result;
 use crate::exact::{Decision, Depths, Line, Shear};
 use crate::format::{Frame, Leaf, Node, PageId, Slot};
@@ -18,8 +18,6 @@ use crate::map::{Octree, Page};
 
 /// Rays that go together.
 const GROUP: usize = 64;
-/// Of which so many are compared at once.
-const ROW: usize = 16;
 /// 2^-22.
 const WIDEN: f64 = 1.0 / 4_194_304.0;
 /// In place of a page: the top.
@@ -65,8 +63,8 @@ impl Job for Near<'_, '_> {
 
 /// The boxes of rays; axes x, y, z. Those of no ray touch nothing.
 struct Group {
-    low: [[f32; GROUP]; 3],
-    high: [[f32; GROUP]; 3],
+    low: [[Row; GROUP / WIDE]; 3],
+    high: [[Row; GROUP / WIDE]; 3],
     /// Rays prepared for the filter, as far as they have met a leaf.
     shears: [Shear; GROUP],
 }
@@ -74,8 +72,8 @@ struct Group {
 impl Default for Group {
     fn default() -> Self {
         Group {
-            low: [[f32::INFINITY; GROUP]; 3],
-            high: [[f32::NEG_INFINITY; GROUP]; 3],
+            low: [[Row([f32::INFINITY; WIDE]); GROUP / WIDE]; 3],
+            high: [[Row([f32::NEG_INFINITY; WIDE]); GROUP / WIDE]; 3],
             shears: [Shear::default(); GROUP],
         }
     }
@@ -101,27 +99,27 @@ impl Group {
                     let bound = |x: f32, none: f32| if x.is_nan() { none } else { x };
                     (bound(low, f32::NEG_INFINITY), bound(high, f32::INFINITY))
                 });
-                (self.low[axis][i], self.high[axis][i]) = (low, high);
+                (self.low[axis][i / WIDE].0[i % WIDE], self.high[axis][i / WIDE].0[i % WIDE]) = (low, high);
             }
         }
     }
 
     /// Which of some rays' boxes touch a slot's box.
     #[inline(always)]
-    fn touching(&self, rays: u64, planes: &Planes, slot: usize) -> u64 {
-        let Planes { low: [x0, y0, z0], high: [x1, y1, z1] } = planes;
-        let (low, high) = ([x0[slot], y0[slot], z0[slot]], [x1[slot], y1[slot], z1[slot]]);
+    fn touching<K: Kernel>(&self, kernel: K, rays: u64, planes: &Planes, slot: usize) -> u64 {
+        let low = [0, 1, 2].map(|axis| kernel.all(planes.low[axis][slot]));
+        let high = [0, 1, 2].map(|axis| kernel.all(planes.high[axis][slot]));
         let mut all = 0;
-        for at in (0..GROUP).step_by(ROW).filter(|at| rays >> at & 0xffff != 0) {
-            let mut touch = [true; ROW];
-            for axis in 0..3 {
-                let (lows, highs) = (&self.low[axis][at..at + ROW], &self.high[axis][at..at + ROW]);
-                for ((touch, &l), &h) in touch.iter_mut().zip(lows).zip(highs) {
-                    *touch &= (l <= high[axis]) & (h >= low[axis]);
-                }
+        for row in 0..GROUP / WIDE {
+            if rays >> (row * WIDE) & 0xffff == 0 {
+                continue;
             }
-            let (first, second) = touch.split_at(ROW / 2);
-            all |= (bits(first) | bits(second) << (ROW / 2)) << at;
+            let mut touch = 0xffff;
+            for axis in 0..3 {
+                touch &= kernel.at_most(kernel.get(&self.low[axis][row]), high[axis]);
+                touch &= kernel.at_most(low[axis], kernel.get(&self.high[axis][row]));
+            }
+            all |= u64::from(touch) << (row * WIDE);
         }
         all & rays
     }
@@ -171,7 +169,7 @@ impl Group {
             counters.nodes += 1;
             let planes = Planes::new(node, &frame);
             for slot in 0..8 {
-                let those = self.touching(those & !met, &planes, slot);
+                let those = self.touching(kernel, those & !met, &planes, slot);
                 if those == 0 {
                     continue;
                 }
@@ -215,15 +213,6 @@ impl Group {
         }
         Ok(met)
     }
-}
-
-/// A bit for each of eight truths.
-#[inline(always)]
-fn bits(truths: &[bool]) -> u64 {
-    let mut bytes = [0; 8];
-    bytes.iter_mut().zip(truths).for_each(|(byte, &truth)| *byte = u8::from(truth));
-    // Byte i, times the multiplier's bit 56 - 7 i, falls on bit 56 + i; none of the other products meets another, or lies above.
-    u64::from_le_bytes(bytes).wrapping_mul(0x0102_0408_1020_4080) >> 56
 }
 
 /// A node's planes in root units, in f32; axes x, y, z, and an entry a slot.

@@ -3,11 +3,12 @@
 use std::borrow::Borrow;
 
 use super::arch::Isa;
-use super::ask::{Ask, Least, LeastHit, Whether};
+use super::ask::{Ask, Least, LeastHit, LeastOfEach, Whether, WhetherEach};
 use super::flight::{Flight, STACKS};
 use super::near::Near;
+use super::packet::{self, PACKET};
 use super::setup::Scene;
-use super::walk::{File, OneByOne, STACK};
+use super::walk::{Batch, File, SPACE};
 use super::{Counters, Found, Tracer, batch};
 use crate::error::Result;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
@@ -22,7 +23,18 @@ pub struct OctreeTracer<O> {
     octree: O,
     scene: Scene,
     isa: Isa,
-    in_flight: bool,
+    order: Option<Order>,
+}
+
+/// How the rays of a batch are walked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// One ray after the other.
+    Single,
+    /// Several rays under way at once, each by one step in turn: for rays that have nothing to do with each other, on large files.
+    Flight,
+    /// Neighbouring rays that run side by side together.
+    Packet,
 }
 
 impl<O: Borrow<Octree>> OctreeTracer<O> {
@@ -30,8 +42,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     pub fn new(octree: O) -> OctreeTracer<O> {
         let file = octree.borrow();
         let scene = Scene::new(file.root(), file.bounds(), file.header().depth);
-        let in_flight = file.header().file_bytes > CACHED;
-        OctreeTracer { octree, scene, isa: Isa::best(), in_flight }
+        OctreeTracer { octree, scene, isa: Isa::best(), order: None }
     }
 
     /// The same with a given instruction set; the answers are the same, bit for bit.
@@ -39,10 +50,9 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         OctreeTracer { isa, ..self }
     }
 
-    /// The same, but batches walked several rays at a time or one ray after the other, whatever the file's size; the answers are the
-    /// same, bit for bit.
-    pub fn with_flight(self, in_flight: bool) -> OctreeTracer<O> {
-        OctreeTracer { in_flight, ..self }
+    /// The same, but batches walked in that order, whatever suits the file and the rays; the answers are the same, bit for bit.
+    pub fn with_order(self, order: Order) -> OctreeTracer<O> {
+        OctreeTracer { order: Some(order), ..self }
     }
 
     /// The same, but each node's children far to near: slower, the answers the same, bit for bit. For tests of that.
@@ -65,30 +75,38 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     /// Answers one ray.
     fn ask_one<A: Ask>(&self, ask: A, ray: &Ray, counters: &mut Counters) -> Result<A::Answer> {
         let mut answer = [A::NOTHING];
-        self.one_by_one(ask, std::slice::from_ref(ray), &mut answer, counters)?;
+        self.one_by_one::<A, 1>(ask, std::slice::from_ref(ray), &mut answer, false, counters)?;
         let [answer] = answer;
         Ok(answer)
     }
 
     /// Answers rays one after the other, on this thread; adds the work done to `counters`.
-    fn one_by_one<A: Ask>(
+    fn one_by_one<A: Ask, const N: usize>(
         &self,
         ask: A,
         rays: &[Ray],
         answers: &mut [A::Answer],
+        packets: bool,
         counters: &mut Counters,
     ) -> Result<()> {
         let file = File::new(self.octree(), &self.scene);
-        STACK.with_borrow_mut(|stack| self.isa.run(OneByOne { ask, rays, answers, file, counters, stack }))?;
+        SPACE.with_borrow_mut(|space| {
+            self.isa.run(Batch::<A, N> { ask, rays, answers, file, counters, space, packets })
+        })?;
         self.octree().fault()
     }
 
-    /// Answers rays of which nothing is known, on this thread, by the walk that is faster for the file.
+    /// Answers rays of which nothing is known, on this thread, by the walk that is faster for them and for the file.
     fn many<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()> {
-        if self.in_flight {
-            self.several(ask, rays, answers, counters)
-        } else {
-            self.one_by_one(ask, rays, answers, counters)
+        match self.order {
+            Some(Order::Flight) => self.several(ask, rays, answers, counters),
+            Some(Order::Single) => self.one_by_one::<A, PACKET>(ask, rays, answers, false, counters),
+            Some(Order::Packet) => self.one_by_one::<A, PACKET>(ask, rays, answers, true, counters),
+            None => match packet::promising(rays) {
+                true => self.one_by_one::<A, PACKET>(ask, rays, answers, true, counters),
+                false if self.octree().header().file_bytes > CACHED => self.several(ask, rays, answers, counters),
+                false => self.one_by_one::<A, PACKET>(ask, rays, answers, false, counters),
+            },
         }
     }
 
@@ -117,7 +135,24 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
         self.scene.bounds
     }
 
+    fn closest_each(
+        &self,
+        rays: &[Ray],
+        skips: &[Skip],
+        found: &mut [Option<Found>],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        assert!(rays.len() == skips.len() && rays.len() == found.len(), "a skip and an answer a ray");
+        self.many(LeastOfEach(skips), rays, found, counters)
+    }
+
+    fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        self.many(WhetherEach(skips), rays, blocked, counters)
+    }
+
     fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
         self.isa.run(Near { octree: self.octree(), rays, skips, blocked, counters })?;
         self.octree().fault()
     }

@@ -34,6 +34,8 @@
 //! steps first ([`approach`]): each leaves 2^-45 of the distance, and the point that it ends at is exact before it is rounded.
 //! Only a ray whose steps do not get there visits all boxes (`inv` = 2^-60, infinite slack in effect), and the exact triangle test decides.
 
+use bytemuck::Zeroable;
+
 use super::arch::{Aim, Fit, Kernel, Way};
 use crate::exact::Expansion;
 use crate::format::Frame;
@@ -48,7 +50,7 @@ pub(super) struct Scene {
     /// 1 / the root's side, a power of two.
     scale: f64,
     /// What aiming plain rays needs.
-    fit: Fit,
+    pub fit: Fit,
     /// eps (L + 8).
     rounding: f64,
     /// What turns the direction mask into the order of visits: 0 for near to far, 7 for far to near.
@@ -67,7 +69,8 @@ impl Scene {
 }
 
 /// A ray ready to walk an octree. Made once and aimed at each ray of a batch, as it is too large to hand around.
-#[derive(Clone, Debug)]
+#[derive(Clone, Copy, Debug, Zeroable)]
+#[repr(C)]
 pub(super) struct Setup {
     /// For the node test.
     pub way: Way,
@@ -199,11 +202,6 @@ fn approach(ray: &Ray, scene: &Scene, g: [f64; 3], inv: [f64; 3], (first, last):
 }
 
 impl Setup {
-    /// One that is yet to be aimed.
-    pub fn blank() -> Setup {
-        Setup { way: Way::default(), aim: Aim::default(), plain: false, far: 0.0, scale: 0.0, tau0: 0.0, pad: 0.0 }
-    }
-
     /// Prepares a ray; false if it is invalid or found to miss the root cube, and then nothing here is to be used.
     #[inline(always)]
     pub fn aim<K: Kernel>(&mut self, kernel: K, ray: &Ray, scene: &Scene) -> bool {

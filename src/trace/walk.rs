@@ -22,20 +22,16 @@ use super::Counters;
 use super::arch::{Cell, Job, Kernel, Saved};
 use super::ask::Ask;
 use super::collect::{Collector, Next, Place, Stored};
+use super::packet;
 use super::setup::{Scene, Setup};
 use crate::error::Result;
-use crate::exact::{Decision, Depths, Lanes, Line, Shear};
+use crate::exact::{Decision, Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Brick, DEPTH_MAX, Node, PageId};
 use crate::geometry::{FaceId, Ray};
 use crate::map::{Octree, Page};
 
 /// Levels that a walk can need: a node of each depth, of the top and of a page.
 pub(super) const LEVELS: usize = 2 * DEPTH_MAX as usize;
-
-thread_local! {
-    /// Each thread's stack, kept so that a ray allocates nothing.
-    pub(super) static STACK: RefCell<Box<[Level; LEVELS]>> = RefCell::new(Box::new([Level::zeroed(); LEVELS]));
-}
 
 /// A node put aside, with slots left to visit.
 #[derive(Clone, Copy, Zeroable)]
@@ -74,47 +70,103 @@ pub(super) struct File<'a> {
     pub scene: &'a Scene,
 }
 
-/// Rays to be walked one after the other, with whichever kernel is there.
-pub(super) struct OneByOne<'a, 'w, A: Ask> {
+/// Rays to be answered with whichever kernel is there, N (1 to 64) at a time: in a packet where they run side by side, else one
+/// after the other. What does not wait for anything, preparing rays and rounding answers, is done for many together, and so goes
+/// much faster than between walks.
+pub(super) struct Batch<'a, 'w, A: Ask, const N: usize> {
     pub ask: A,
     pub rays: &'w [Ray],
     pub answers: &'w mut [A::Answer],
     pub file: File<'a>,
     pub counters: &'w mut Counters,
-    pub stack: &'w mut [Level; LEVELS],
+    pub space: &'w mut Space,
+    /// Whether to look for packets.
+    pub packets: bool,
 }
 
-impl<A: Ask> Job for OneByOne<'_, '_, A> {
+/// What a thread keeps, so that rays allocate nothing.
+#[derive(Clone, Copy, Zeroable)]
+#[repr(C)]
+pub(super) struct Space {
+    levels: [Level; LEVELS],
+    crew: [Sight; LANES],
+    packet: packet::Space,
+}
+
+thread_local! {
+    /// Each thread's own.
+    pub(super) static SPACE: RefCell<Box<Space>> = RefCell::new(bytemuck::zeroed_box());
+}
+
+impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
     type Output = Result<()>;
 
     #[inline(always)]
     fn run<K: Kernel>(self, kernel: K) -> Result<()> {
-        let OneByOne { ask, rays, answers, file, counters, stack } = self;
+        let Batch { ask, rays, answers, file, counters, space: Space { levels, crew, packet }, packets } = self;
         counters.rays += rays.len() as u64;
-        let mut sight = Sight { setup: Setup::blank(), shear: Shear::default(), depths: Depths::BLANK };
-        let mut start = None;
-        for (ray, answer) in rays.iter().zip(answers) {
-            if !sight.setup.aim(kernel, ray, file.scene) {
-                *answer = A::NOTHING;
-                continue;
+        let start = file.start()?;
+        let mut depths = Depths::BLANK;
+        let mut first = 0;
+        for (rays, answers) in rays.chunks(N).zip(answers.chunks_mut(N)) {
+            let last = rays.len() - 1;
+            let mut alone = u64::MAX >> (63 - last);
+            if packets && N > 1 {
+                let asked = packet::Asked { ask: &ask, first, rays };
+                alone = packet::walk(kernel, &file, &start, asked, answers, packet, &mut depths, counters)?;
             }
-            let start = match &start {
-                Some(start) => start,
-                None => start.insert(file.start()?),
-            };
-            let mut collector = ask.begin(ray);
-            file.walk(kernel, stack, start, ray, &mut sight, &mut collector, counters)?;
-            *answer = A::end(kernel, collector, ray);
+            while alone != 0 {
+                let (mut places, mut count, mut live) = ([0; LANES], 0, 0u32);
+                let mut those = [rays[0]; LANES];
+                while alone != 0 && count < LANES {
+                    let i = alone.trailing_zeros() as usize % N;
+                    alone &= alone - 1;
+                    let sight = &mut crew[count];
+                    places[count] = i;
+                    those[count] = rays[i];
+                    if sight.setup.aim(kernel, &those[count], file.scene) {
+                        let Setup { way, aim, far, .. } = &sight.setup;
+                        let frame = kernel.frame(&start.cell, aim, way);
+                        let (left, near) = kernel.touch(start.view.node(0), frame, way, *far);
+                        kernel.save(&mut sight.saved, frame, near);
+                        sight.left = left;
+                        live |= u32::from(left != 0) << count;
+                        counters.nodes += 1;
+                    }
+                    count += 1;
+                }
+                let mut left = live;
+                while left != 0 {
+                    let k = left.trailing_zeros() as usize % LANES;
+                    left &= left - 1;
+                    crew[k].shear = Shear::new(&those[k], file.scene.bounds);
+                }
+                let mut collectors: [A::Collector<'_>; LANES] =
+                    std::array::from_fn(
+                        |k| if k < count { ask.begin(first + places[k], &those[k]) } else { A::idle() },
+                    );
+                let mut left = live;
+                while left != 0 {
+                    let k = left.trailing_zeros() as usize % LANES;
+                    left &= left - 1;
+                    file.walk(kernel, levels, &start, &those[k], &crew[k], &mut depths, &mut collectors[k], counters)?;
+                }
+                A::end(kernel, &those[..count], &collectors[..count], |k, answer| answers[places[k]] = answer);
+            }
+            first += N;
         }
         Ok(())
     }
 }
 
-/// A ray prepared for nodes, and once it meets a leaf, for triangles. Made once for all rays of a batch.
+/// A ray prepared for nodes and for triangles, and the first node: its frame, its slots' entries, and those to visit.
+#[derive(Clone, Copy, Zeroable)]
+#[repr(C)]
 pub(super) struct Sight {
     pub setup: Setup,
     pub shear: Shear,
-    pub depths: Depths,
+    pub saved: Saved,
+    pub left: u32,
 }
 
 /// Where every ray of a file begins.
@@ -147,7 +199,8 @@ impl<'a> File<'a> {
         stack: &mut [Level; LEVELS],
         start: &Start<'a>,
         ray: &Ray,
-        sight: &mut Sight,
+        sight: &Sight,
+        depths: &mut Depths,
         collector: &mut impl Collector<'a>,
         counters: &mut Counters,
     ) -> Result<()> {
@@ -155,13 +208,12 @@ impl<'a> File<'a> {
         let mask = usize::from(sight.setup.way.order & 7);
         // The parameter beyond which nothing matters.
         let mut far = sight.setup.far;
-        let (mut nodes, mut bricks) = (1, u64::from(view.page.is_some()));
+        let (mut nodes, mut bricks) = (0, u64::from(view.page.is_some()));
         // The node under way, the frame and the entries of its slots, and those left to visit.
         let (mut top, mut index) = (0, 0);
         let mut node = view.node(index);
-        let mut frame = kernel.frame(&start.cell, &sight.setup.aim, &sight.setup.way);
-        let (mut left, mut near) = kernel.touch(node, frame, &sight.setup.way, far);
-        let mut sheared = false;
+        let (mut frame, mut near) = kernel.load(&sight.saved);
+        let mut left = sight.left;
         'walk: loop {
             while left == 0 {
                 if top == 0 {
@@ -182,11 +234,7 @@ impl<'a> File<'a> {
             let byte = node.slots[slot];
             if byte < EMPTY {
                 let Some(stored) = self.stored(&view, index, node, byte, counters) else { continue };
-                if !sheared {
-                    sheared = true;
-                    sight.shear = Shear::new(ray, self.scene.bounds);
-                }
-                match leaf(kernel, &stored, ray, sight, &mut far, collector, counters) {
+                match leaf(kernel, &stored, ray, sight, depths, &mut far, collector, counters) {
                     Next::On => {}
                     Next::Nearer => left &= kernel.within(near, far),
                     Next::Done => break 'walk,
@@ -275,20 +323,22 @@ pub(super) fn keep<K: Kernel>(
 
 /// Tests the triangles of a leaf, and gives the hits to the collector.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the state of a walk")]
 fn leaf<'a, K: Kernel>(
     kernel: K,
     stored: &Stored<'a>,
     ray: &Ray,
-    sight: &mut Sight,
+    sight: &Sight,
+    depths: &mut Depths,
     far: &mut f32,
     collector: &mut impl Collector<'a>,
     counters: &mut Counters,
 ) -> Next {
-    let lanes = kernel.classify(&stored.leaf, &sight.shear, range(ray, collector), &mut sight.depths);
+    let lanes = kernel.classify(&stored.leaf, &sight.shear, range(ray, collector), depths);
     if lanes.accept | lanes.doubt == 0 {
         return Next::On;
     }
-    take(stored, lanes, ray, sight, far, collector, counters)
+    take(stored, lanes, ray, &sight.setup, depths, far, collector, counters)
 }
 
 /// The t that still matter.
@@ -300,21 +350,23 @@ pub(super) fn range<'a>(ray: &Ray, collector: &impl Collector<'a>) -> [f32; 2] {
 
 /// Gives what the filter left of a leaf to the collector.
 #[inline(always)]
+#[expect(clippy::too_many_arguments, reason = "the state of a walk")]
 pub(super) fn take<'a>(
     stored: &Stored<'a>,
     lanes: Lanes,
     ray: &Ray,
-    sight: &Sight,
+    setup: &Setup,
+    depths: &Depths,
     far: &mut f32,
     collector: &mut impl Collector<'a>,
     counters: &mut Counters,
 ) -> Next {
-    let next = match collector.glance(ray, lanes, &sight.depths, stored) {
+    let next = match collector.glance(ray, lanes, depths, stored) {
         Some(next) => next,
         None => settle(stored, lanes, ray, collector, counters),
     };
     if next == Next::Nearer {
-        *far = far.min(sight.setup.reach(collector.reach()));
+        *far = far.min(setup.reach(collector.reach()));
     }
     next
 }

@@ -2,9 +2,9 @@
 
 use std::arch::x86_64::*;
 
-use super::scalar;
-use super::{Aim, Cell, Fit, Job, Kernel, MODERATE, NEAR, Saved, Way};
-use crate::exact::{Depths, Lanes, Shear, U};
+use super::{Aim, Block, Cell, Fit, Job, Kernel, MODERATE, NEAR, Rounded, Saved, Way};
+use super::{round, scalar};
+use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{self, Coding, Leaf, Node};
 use crate::geometry::Ray;
 
@@ -191,80 +191,6 @@ pub(super) unsafe fn begin(cell: &Cell, aim: &Aim) -> [__m128; 2] {
     }
 }
 
-/// [`Line::rounded`](crate::exact::Line::rounded) in four lanes, shared with AVX-512.
-///
-/// # Safety
-/// AVX2 and FMA must be there.
-#[inline(always)]
-pub(super) unsafe fn rounded(leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
-    // SAFETY: the caller vouches for the instructions; the arrays are four numbers.
-    unsafe {
-        let [a, b, c] = leaf.corners(lane);
-        let none = _mm256_setzero_pd();
-        let (mut p, mut q, mut r) = ([none; 3], [none; 3], [none; 3]);
-        let mut axis = 0;
-        while axis < 3 {
-            let x = leaf.coordinates(axis);
-            let (Some(&xa), Some(&xb), Some(&xc)) = (x.get(a), x.get(b), x.get(c)) else { return None };
-            let corners = _mm256_cvtps_pd(_mm_setr_ps(xa, xb, xc, xc));
-            let (o, d) = (f64::from(ray.origin[axis]), f64::from(ray.direction[axis]));
-            let o = _mm256_set1_pd(o);
-            let first = _mm256_broadcastsd_pd(_mm256_castpd256_pd128(corners));
-            // Lanes c, a, b, b less o, o, o, a; a, b, c, c less c, a, b, a; d, d, d, a - o.
-            let from = _mm256_blend_pd::<0b1000>(o, first);
-            p[axis] = _mm256_sub_pd(_mm256_permute4x64_pd::<0b01_01_00_10>(corners), from);
-            q[axis] = _mm256_sub_pd(corners, _mm256_permute4x64_pd::<0b00_01_00_10>(corners));
-            r[axis] = _mm256_blend_pd::<0b1000>(_mm256_set1_pd(d), _mm256_sub_pd(first, o));
-            axis += 1;
-        }
-        let sign = _mm256_set1_pd(-0.0);
-        let (mut value, mut permanent) = (none, none);
-        let mut i = 0;
-        while i < 3 {
-            let (j, k) = ((i + 1) % 3, (i + 2) % 3);
-            let (plus, less) = (_mm256_mul_pd(p[j], q[k]), _mm256_mul_pd(p[k], q[j]));
-            value = _mm256_fmadd_pd(_mm256_sub_pd(plus, less), r[i], value);
-            let sizes = _mm256_add_pd(_mm256_andnot_pd(sign, plus), _mm256_andnot_pd(sign, less));
-            permanent = _mm256_fmadd_pd(sizes, _mm256_andnot_pd(sign, r[i]), permanent);
-            i += 1;
-        }
-        let error = _mm256_mul_pd(permanent, _mm256_set1_pd(9.0 * U));
-        let of_sum = _mm256_fmadd_pd(_mm256_set1_pd(4.0 * U), _mm256_andnot_pd(sign, value), error);
-        let (den, den_error) = (sum_of_three(value), sum_of_three(of_sum));
-        let inverse = _mm256_div_pd(_mm256_set1_pd(1.0), den);
-        let quotient = _mm256_mul_pd(value, inverse);
-        let size = _mm256_andnot_pd(sign, quotient);
-        let bound = _mm256_mul_pd(_mm256_fmadd_pd(size, den_error, error), _mm256_andnot_pd(sign, inverse));
-        let bound = _mm256_fmadd_pd(bound, _mm256_set1_pd(2.25), _mm256_mul_pd(size, _mm256_set1_pd(4.0 * U)));
-        let low = _mm256_cvtpd_ps(_mm256_sub_pd(quotient, bound));
-        let high = _mm256_cvtpd_ps(_mm256_add_pd(quotient, bound));
-        let same = _mm_movemask_ps(_mm_cmp_ps::<_CMP_EQ_OQ>(low, high));
-        let certain = _mm256_cmp_pd::<_CMP_GT_OQ>(_mm256_andnot_pd(sign, den), _mm256_add_pd(den_error, den_error));
-        if same & 0b1011 != 0b1011 || _mm256_movemask_pd(certain) & 1 == 0 {
-            return None;
-        }
-        // Adding +0 turns -0 into +0.
-        let mut answer = [0.0; 4];
-        _mm_storeu_ps(answer.as_mut_ptr(), _mm_add_ps(low, _mm_setzero_ps()));
-        Some([answer[3], answer[0], answer[1]])
-    }
-}
-
-/// The sum of the lower three lanes, in all four.
-///
-/// # Safety
-/// AVX2 must be there.
-#[inline(always)]
-unsafe fn sum_of_three(x: __m256d) -> __m256d {
-    // SAFETY: as the caller vouches.
-    unsafe {
-        let first = _mm256_permute4x64_pd::<0b00_00_00_00>(x);
-        let second = _mm256_permute4x64_pd::<0b01_01_01_01>(x);
-        let third = _mm256_permute4x64_pd::<0b10_10_10_10>(x);
-        _mm256_add_pd(_mm256_add_pd(first, second), third)
-    }
-}
-
 /// Puts a node aside.
 ///
 /// # Safety
@@ -359,6 +285,23 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
+    fn planes(self, node: &Node, way: &Way) -> [[__m256; 2]; 3] {
+        // SAFETY: `self` is proof; each set of planes is eight bytes.
+        unsafe {
+            let order = _mm_loadl_epi64(ORDER[usize::from(way.order & 7)].as_ptr().cast());
+            let mut planes = [[_mm256_setzero_ps(); 2]; 3];
+            let mut axis = 0;
+            while axis < 3 {
+                let down = way.mask & (4 >> axis) != 0;
+                let (first, second) = if down { (&node.high, &node.low) } else { (&node.low, &node.high) };
+                planes[axis] = [numbers(first[axis].as_ptr(), order), numbers(second[axis].as_ptr(), order)];
+                axis += 1;
+            }
+            planes
+        }
+    }
+
+    #[inline(always)]
     fn within(self, near: __m256, far: f32) -> u32 {
         // SAFETY: `self` is proof.
         unsafe { within(near, far) }
@@ -391,9 +334,9 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+    fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded) {
         // SAFETY: `self` is proof.
-        unsafe { rounded(leaf, lane, ray) }
+        unsafe { round::avx2::rounded(block, wanted, to) }
     }
 }
 

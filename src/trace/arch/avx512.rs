@@ -2,7 +2,7 @@
 
 use std::arch::x86_64::*;
 
-use super::{Aim, Cell, Fit, Job, Kernel, Saved, Way, avx2, scalar};
+use super::{Aim, Block, Cell, Fit, Job, Kernel, Rounded, Saved, Way, avx2, round, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
 use crate::geometry::Ray;
@@ -73,18 +73,30 @@ type Frame = __m512;
 /// The lanes of a frame that hold dt and -dt.
 const STEPS: u16 = 0xf0f0;
 
+/// The planes of one axis by which slots are entered, and those by which they are left.
+///
+/// # Safety
+/// AVX-512 must be there.
+#[inline(always)]
+unsafe fn planes<const I: i32>(node: __m512i, way: &Way) -> __m512 {
+    // SAFETY: the caller vouches for the instructions; the index is 64 bytes, aligned.
+    unsafe {
+        let backward = (way.mask ^ way.order) & 1;
+        let order = &ORDER[usize::from(way.mask & 7 | backward << 3)][I as usize];
+        let order = _mm512_load_si512(order.0.as_ptr().cast());
+        _mm512_cvtepi32_ps(_mm512_maskz_permutexvar_epi8(FIRST, order, node))
+    }
+}
+
 /// The parameters of one axis, those at which slots are left negated.
 ///
 /// # Safety
 /// AVX-512 must be there.
 #[inline(always)]
 unsafe fn axis<const I: i32>(node: __m512i, frame: Frame, way: &Way) -> __m512 {
-    // SAFETY: the caller vouches for the instructions; the index is 64 bytes, aligned.
+    // SAFETY: as the caller vouches.
     unsafe {
-        let backward = (way.mask ^ way.order) & 1;
-        let order = &ORDER[usize::from(way.mask & 7 | backward << 3)][I as usize];
-        let order = _mm512_load_si512(order.0.as_ptr().cast());
-        let plane = _mm512_cvtepi32_ps(_mm512_maskz_permutexvar_epi8(FIRST, order, node));
+        let plane = planes::<I>(node, way);
         let begin = _mm512_mask_mov_epi32(_mm512_set1_epi32(I), 0xff00, _mm512_set1_epi32(8 + I));
         let dt = _mm512_mask_mov_epi32(_mm512_set1_epi32(4 + I), 0xff00, _mm512_set1_epi32(12 + I));
         _mm512_fmadd_ps(plane, _mm512_permutexvar_ps(dt, frame), _mm512_permutexvar_ps(begin, frame))
@@ -143,6 +155,15 @@ impl Kernel for Avx512 {
     }
 
     #[inline(always)]
+    fn planes(self, node: &Node, way: &Way) -> [__m512; 3] {
+        // SAFETY: `self` is proof. A node is 64 bytes.
+        unsafe {
+            let node = _mm512_loadu_si512(std::ptr::from_ref(node).cast());
+            [planes::<0>(node, way), planes::<1>(node, way), planes::<2>(node, way)]
+        }
+    }
+
+    #[inline(always)]
     fn within(self, near: __m256, far: f32) -> u32 {
         // SAFETY: `self` is proof.
         unsafe { u32::from(_mm256_cmp_ps_mask::<_CMP_LE_OQ>(near, _mm256_set1_ps(far))) }
@@ -193,9 +214,9 @@ impl Kernel for Avx512 {
     }
 
     #[inline(always)]
-    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
+    fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded) {
         // SAFETY: `self` is proof.
-        unsafe { avx2::rounded(leaf, lane, ray) }
+        unsafe { round::avx512::rounded(block, wanted, to) }
     }
 }
 

@@ -13,9 +13,14 @@
 mod avx2;
 #[cfg(target_arch = "x86_64")]
 mod avx512;
+#[cfg(target_arch = "x86_64")]
+mod round;
 mod scalar;
+mod wide;
 
 use std::sync::OnceLock;
+
+pub(super) use wide::{Row, WIDE, Wide, greatest};
 
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Leaf, Node};
@@ -43,7 +48,7 @@ pub(super) struct Fit {
 }
 
 /// What turns planes into parameters; `setup.rs` explains. The fourth lanes hold anything.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Zeroable)]
 #[repr(C, align(32))]
 pub(super) struct Aim {
     /// p'.
@@ -64,7 +69,7 @@ pub(super) struct Planes {
 }
 
 /// The part of a prepared ray that the node test needs.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, bytemuck::Zeroable)]
 #[repr(C, align(16))]
 pub(super) struct Way {
     /// 2^-32 in parameter units: dt of the smallest frame.
@@ -94,8 +99,29 @@ pub(super) struct Saved {
     frame: [f32; 16],
 }
 
+/// Hits whose t, u and v are wanted: triangles, and the rays that are known to hit them; entry i of each axis belongs to hit i.
+#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
+#[repr(C, align(64))]
+pub(super) struct Block {
+    pub a: [Row; 3],
+    pub b: [Row; 3],
+    pub c: [Row; 3],
+    pub origin: [Row; 3],
+    pub direction: [Row; 3],
+}
+
+/// The t, u and v of a block's hits; those whose bit is set in `certain` are correctly rounded, others hold anything.
+#[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
+#[repr(C, align(64))]
+pub(super) struct Rounded {
+    pub t: Row,
+    pub u: Row,
+    pub v: Row,
+    pub certain: u32,
+}
+
 /// The inner loops for one instruction set. A value of the type is proof that the processor has it.
-pub(super) trait Kernel: Copy {
+pub(super) trait Kernel: Wide {
     /// [`Planes`] in registers.
     type Frame: Copy;
     /// Eight lower bounds, in the order of visits: entry i stands for slot i XOR a.
@@ -113,14 +139,17 @@ pub(super) trait Kernel: Copy {
     /// Which slots the ray touches between `way.near` and `far`, a bit an entry in the order of visits, and where they are
     /// entered. Empty slots are left to the caller.
     fn touch(self, node: &Node, frame: Self::Frame, way: &Way, far: f32) -> (u32, Self::Near);
+    /// For each axis the planes by which slots are entered, in the order of visits, and behind these eight those by which they are
+    /// left, in units of the node's frame.
+    fn planes(self, node: &Node, way: &Way) -> [Self::Floats; 3];
     /// A bit for each of the entries that is not beyond `far`.
     fn within(self, near: Self::Near, far: f32) -> u32;
     /// The frame of the inner child in `slot` (0..8); FORMAT.md, "Frame".
     fn child(self, frame: Self::Frame, node: &Node, slot: usize, way: &Way) -> Self::Frame;
     /// The filter's word on each triangle of a leaf; as [`Shear::classify`].
     fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes;
-    /// t, u, v of a triangle of a leaf (one that there is) which the ray is known to hit; as [`Line::rounded`](crate::exact::Line::rounded).
-    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]>;
+    /// t, u, v of those hits of a block whose bit is set in `wanted`, each as [`Line::rounded`](crate::exact::Line::rounded).
+    fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded);
 }
 
 /// Something to be done with whichever kernel is there.

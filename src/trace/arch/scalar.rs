@@ -1,9 +1,11 @@
 //! The portable inner loops.
 
-use super::{Aim, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Saved, Way};
+use glam::Vec3;
+
+use super::{Aim, Block, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Rounded, Row, Saved, WIDE, Way};
 use crate::exact::{Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Coding, Frame, Leaf, Node};
-use crate::geometry::Ray;
+use crate::geometry::{Ray, Triangle};
 
 /// Portable code over fixed arrays.
 #[derive(Clone, Copy, Debug)]
@@ -83,6 +85,18 @@ impl Kernel for Scalar {
     }
 
     #[inline(always)]
+    fn planes(self, node: &Node, way: &Way) -> [[f32; 16]; 3] {
+        std::array::from_fn(|axis| {
+            let down = way.mask & (4 >> axis) != 0;
+            let (first, second) = if down { (&node.high, &node.low) } else { (&node.low, &node.high) };
+            std::array::from_fn(|i| {
+                let slot = i & 7 ^ usize::from(way.order & 7);
+                f32::from(if i < 8 { first[axis][slot] } else { second[axis][slot] })
+            })
+        })
+    }
+
+    #[inline(always)]
     fn within(self, near: [f32; 8], far: f32) -> u32 {
         (0..8).fold(0, |bits, i| bits | u32::from(near[i] <= far) << i)
     }
@@ -106,8 +120,18 @@ impl Kernel for Scalar {
     }
 
     #[inline(always)]
-    fn rounded(self, leaf: &Leaf<'_>, lane: usize, ray: &Ray) -> Option<[f32; 3]> {
-        Line::new(ray).rounded(&leaf.triangle(lane))
+    fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded) {
+        to.certain = 0;
+        for i in (0..WIDE).filter(|i| wanted >> i & 1 != 0) {
+            let of = |points: &[Row; 3]| [points[0].0[i], points[1].0[i], points[2].0[i]];
+            let corner = |points| Vec3::from_array(of(points));
+            let triangle = Triangle { a: corner(&block.a), b: corner(&block.b), c: corner(&block.c) };
+            let line = Line::new(&Ray::new(of(&block.origin), of(&block.direction)));
+            if let Some([t, u, v]) = line.rounded(&triangle) {
+                to.certain |= 1 << i;
+                (to.t.0[i], to.u.0[i], to.v.0[i]) = (t, u, v);
+            }
+        }
     }
 }
 

@@ -55,7 +55,23 @@ impl Job for Leaves<'_> {
         let mut depths = Depths::BLANK;
         let lanes = kernel.classify(&leaf, shear, [f32::NEG_INFINITY, f32::INFINITY], &mut depths);
         let accepted = (0..16).filter(|j| lanes.accept >> j & 1 != 0);
-        (lanes, depths, accepted.map(|j| kernel.rounded(&leaf, j, ray)).collect())
+        let rounded = accepted.map(|j| {
+            let (mut block, mut rounded, t) = (Block::zeroed(), Rounded::zeroed(), leaf.triangle(j));
+            // In every place of a block.
+            let place = j % 16;
+            for axis in 0..3 {
+                for i in 0..16 {
+                    (block.a[axis].0[i], block.b[axis].0[i], block.c[axis].0[i]) = (t.a[axis], t.b[axis], t.c[axis]);
+                    (block.origin[axis].0[i], block.direction[axis].0[i]) = (ray.origin[axis], ray.direction[axis]);
+                }
+            }
+            let wanted = 1 << place | 1;
+            kernel.rounded(&block, wanted, &mut rounded);
+            assert_eq!(rounded.certain & !wanted, 0);
+            let certain = rounded.certain >> place & 1 != 0;
+            certain.then_some([rounded.t.0[place], rounded.u.0[place], rounded.v.0[place]])
+        });
+        (lanes, depths, rounded.collect())
     }
 }
 

@@ -6,9 +6,9 @@ use std::time::Instant;
 use octrace::Result;
 use octrace::build::BuildOptions;
 use octrace::event::Monitor;
-use octrace::geometry::Hit;
+use octrace::geometry::{Aabb, Hit, Ray, Skip};
 use octrace::map::Octree;
-use octrace::trace::{Counters, Found, Isa, LinearTracer, OctreeTracer, Tracer, all_hits};
+use octrace::trace::{Counters, Found, Isa, LinearTracer, OctreeTracer, Order, Tracer, all_hits};
 
 use super::report::{FamilyReport, ModeReport, Tally};
 use crate::bench::{library_ray, octree, skip};
@@ -61,7 +61,7 @@ impl Bench {
         let started = Instant::now();
         let open = |options: &BuildOptions| -> Result<File> {
             let file = octree(mesh, options)?;
-            let mut modes = octree_modes(&file);
+            let mut modes = octree_modes(&file, mesh.faces.len() + usize::from(options.leaf));
             if mesh.faces.len() <= LINEAR {
                 modes.push(("linear", Box::new(LinearTracer::new(&file)?)));
             }
@@ -154,10 +154,60 @@ pub fn run_case(case: &Case, options: &[BuildOptions], monitor: Monitor<'_>) -> 
     Ok(report)
 }
 
-/// A tracer for each instruction set of this processor.
-fn octree_modes(file: &Arc<Octree>) -> Vec<(&'static str, Box<dyn Tracer>)> {
+/// A tracer for each instruction set of this processor, and one that walks rays in packets; with which set depends on `turn`.
+fn octree_modes(file: &Arc<Octree>, turn: usize) -> Vec<(&'static str, Box<dyn Tracer>)> {
     let tracer = |isa: Isa| OctreeTracer::new(Arc::clone(file)).with_isa(isa);
-    Isa::available().into_iter().map(|isa| (isa.name(), Box::new(tracer(isa)) as Box<dyn Tracer>)).collect()
+    let sets = Isa::available();
+    let packed = Packed(tracer(sets[turn % sets.len()]).with_order(Order::Packet));
+    let mut modes: Vec<(&'static str, Box<dyn Tracer>)> =
+        sets.into_iter().map(|isa| (isa.name(), Box::new(tracer(isa)) as Box<dyn Tracer>)).collect();
+    modes.push(("packet", Box::new(packed)));
+    modes
+}
+
+/// Asks every ray in a packet: in the midst of others that run beside it.
+struct Packed(OctreeTracer<Arc<Octree>>);
+
+/// Rays of a packet.
+const PACKET: usize = 16;
+
+impl Packed {
+    /// The ray's companions, from the same point in nearly the same direction, and its place among them.
+    fn packet(ray: &Ray) -> ([Ray; PACKET], usize) {
+        let place = ray.direction[0].to_bits() as usize % PACKET;
+        let nudged = |i: usize| {
+            // From the last bit up to a thousandth.
+            let step = (1u32 << (i % 14)) as f32 * f32::EPSILON * if i % 2 == 0 { 1.0 } else { -1.0 };
+            let mut other = *ray;
+            other.direction[i % 3] += step * ray.direction[(i + 1) % 3];
+            if i == place { *ray } else { other }
+        };
+        (std::array::from_fn(nudged), place)
+    }
+}
+
+impl Tracer for Packed {
+    fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
+        let (rays, place) = Packed::packet(ray);
+        let mut found = [None; PACKET];
+        self.0.closest_each(&rays, &[skip; PACKET], &mut found, counters)?;
+        Ok(found[place])
+    }
+
+    fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool> {
+        let (rays, place) = Packed::packet(ray);
+        let mut blocked = [false; PACKET];
+        self.0.any_each(&rays, &[skip; PACKET], &mut blocked, counters)?;
+        Ok(blocked[place])
+    }
+
+    fn next(&self, ray: &Ray, skip: Skip, last: &Found) -> Result<Option<Found>> {
+        self.0.next(ray, skip, last)
+    }
+
+    fn bounds(&self) -> Aabb {
+        self.0.bounds()
+    }
 }
 
 /// The closest hits, timed, with the tiers that each ray needed.

@@ -65,9 +65,12 @@ pub fn build_options(round: usize, layout: &Layout, triangles: usize) -> Vec<Bui
     (0..layout.ways.max(1)).map(|k| one_way(round + 7 * k, layout, triangles)).collect()
 }
 
+/// What a build may take: many run at once here beside their oracles, so that the process is large before one begins.
+const MEMORY: u64 = 16 << 30;
+
 fn one_way(round: usize, layout: &Layout, triangles: usize) -> BuildOptions {
     if let Some(cell) = layout.strict {
-        return BuildOptions { split: SplitMode::Strict, cell, ..BuildOptions::default() };
+        return BuildOptions { split: SplitMode::Strict, cell, memory: MEMORY, ..BuildOptions::default() };
     }
     let mut options = BuildOptions {
         split: [SplitMode::Sah, SplitMode::Octree, SplitMode::Strict][round % 3],
@@ -75,6 +78,7 @@ fn one_way(round: usize, layout: &Layout, triangles: usize) -> BuildOptions {
         cell: [16, 1, 2, 8, 64, u32::MAX][round / 2 % 6],
         depth: [21, 21, 5, 1, 0, 12][round / 5 % 6],
         brick: layout.brick.or([None, Some(64), None, Some(1000)][round % 4]),
+        memory: MEMORY,
         ..BuildOptions::default()
     };
     if options.split == SplitMode::Strict {

@@ -3,7 +3,7 @@
 use octrace::Result;
 use octrace::geometry::{Hit, Ray};
 use octrace::map::Octree;
-use octrace::trace::{Counters, OctreeTracer, Tracer};
+use octrace::trace::{Counters, OctreeTracer, Order, Tracer};
 
 /// The tracer as it is measured.
 pub type Measured<'a> = OctreeTracer<&'a Octree>;
@@ -27,14 +27,20 @@ pub const KERNELS: &[Kernel] = &[
     Kernel {
         name: "single",
         float_of: None,
-        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(false).closest_batch(rays, hits)),
-        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(false).any_batch(rays, blocked)),
+        closest: Some(|tracer, rays, hits| tracer.clone().with_order(Order::Single).closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.clone().with_order(Order::Single).any_batch(rays, blocked)),
     },
     Kernel {
         name: "flight",
         float_of: None,
-        closest: Some(|tracer, rays, hits| tracer.clone().with_flight(true).closest_batch(rays, hits)),
-        any: Some(|tracer, rays, blocked| tracer.clone().with_flight(true).any_batch(rays, blocked)),
+        closest: Some(|tracer, rays, hits| tracer.clone().with_order(Order::Flight).closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.clone().with_order(Order::Flight).any_batch(rays, blocked)),
+    },
+    Kernel {
+        name: "packet",
+        float_of: None,
+        closest: Some(|tracer, rays, hits| tracer.clone().with_order(Order::Packet).closest_batch(rays, hits)),
+        any: Some(|tracer, rays, blocked| tracer.clone().with_order(Order::Packet).any_batch(rays, blocked)),
     },
 ];
 
