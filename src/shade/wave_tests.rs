@@ -62,7 +62,7 @@ fn mixed(meshes: usize) -> World {
 fn rays(count: u32) -> Vec<WorldRay> {
     let eye = DVec3::new(0.5, 1.5, 11.0);
     let aim = |i: u32| DVec3::new(f64::from(i % 37) / 37.0 - 0.5, f64::from(i % 41) / 41.0 - 0.6, -1.0);
-    let ray = |i: u32| WorldRay::new(eye, if i % 97 == 0 { DVec3::ZERO } else { aim(i) });
+    let ray = |i: u32| WorldRay::new(eye, if i.is_multiple_of(97) { DVec3::ZERO } else { aim(i) });
     (0..count).map(ray).collect()
 }
 

@@ -83,23 +83,11 @@ impl Group {
     /// Makes the boxes.
     #[inline(always)]
     fn enclose(&mut self, rays: &[Ray], root: RootCube) {
-        let corner = root.corner.to_array();
-        let scale = 1.0 / root.side();
         for i in 0..GROUP {
             let ray = rays.get(i).filter(|ray| ray.is_valid());
-            for axis in 0..3 {
-                let (low, high) = ray.map_or((f32::INFINITY, f32::NEG_INFINITY), |ray| {
-                    let origin = (f64::from(ray.origin[axis]) - corner[axis]) * scale;
-                    let step = f64::from(ray.direction[axis]) * scale;
-                    // A t that rounds into [tmin, tmax] lies at most one f32 step outside. Zero times infinity is left out by min and max.
-                    let ends = [ray.tmin.next_down(), ray.tmax.next_up()].map(|t| origin + step * f64::from(t));
-                    let (low, high) = (ends[0].min(ends[1]), ends[0].max(ends[1]));
-                    let widen = |x: f64| (1.0 + origin.abs() + x.abs()) * WIDEN;
-                    let (low, high) = ((low - widen(low)) as f32, (high + widen(high)) as f32);
-                    let bound = |x: f32, none: f32| if x.is_nan() { none } else { x };
-                    (bound(low, f32::NEG_INFINITY), bound(high, f32::INFINITY))
-                });
-                (self.low[axis][i / WIDE].0[i % WIDE], self.high[axis][i / WIDE].0[i % WIDE]) = (low, high);
+            for (axis, (lows, highs)) in self.low.iter_mut().zip(&mut self.high).enumerate() {
+                let [low, high] = ray.map_or([f32::INFINITY, f32::NEG_INFINITY], |ray| extent(ray, axis, root));
+                (lows[i / WIDE].0[i % WIDE], highs[i / WIDE].0[i % WIDE]) = (low, high);
             }
         }
     }
@@ -213,6 +201,19 @@ impl Group {
         }
         Ok(met)
     }
+}
+
+/// What a ray's interval covers of an axis, in root units, widened.
+#[inline(always)]
+fn extent(ray: &Ray, axis: usize, root: RootCube) -> [f32; 2] {
+    let scale = 1.0 / root.side();
+    let origin = (f64::from(ray.origin[axis]) - root.corner[axis]) * scale;
+    let step = f64::from(ray.direction[axis]) * scale;
+    // A t that rounds into [tmin, tmax] lies at most one f32 step outside. Zero times infinity is passed over by min and max.
+    let [a, b] = [ray.tmin.next_down(), ray.tmax.next_up()].map(|t| origin + step * f64::from(t));
+    let widen = |x: f64| (1.0 + origin.abs() + x.abs()) * WIDEN;
+    let (low, high) = ((a.min(b) - widen(a.min(b))) as f32, (a.max(b) + widen(a.max(b))) as f32);
+    [if low.is_nan() { f32::NEG_INFINITY } else { low }, if high.is_nan() { f32::INFINITY } else { high }]
 }
 
 /// A node's planes in root units, in f32; axes x, y, z, and an entry a slot.
