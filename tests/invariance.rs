@@ -7,9 +7,9 @@ mod trace_common;
 
 use std::cmp::Ordering;
 
-use octrace::build::BuildOptions;
+use octrace::build::{BuildOptions, Positions};
 use octrace::exact::Line;
-use octrace::format::SplitMode;
+use octrace::format::{Flags, SplitMode};
 use octrace::geometry::{FaceId, Hit, Ray, Skip};
 use octrace::map::Octree;
 use octrace::trace::{Counters, Found, Isa, LinearTracer, OctreeTracer, Order, Tracer, all_hits};
@@ -194,6 +194,34 @@ fn however_the_file_is_built() {
     }
 }
 
+/// Whether pages are packed, and moved to a grid.
+#[test]
+fn packed_or_not() {
+    for bench in Bench::all() {
+        let isas = Isa::available();
+        for (k, level) in [1, 3, 19].into_iter().enumerate() {
+            for split in SPLITS {
+                // Strict bricks hold a triangle many times; of a large mesh they must not be tiny.
+                let brick = Some(if bench.is_large() { 2000 } else { 64 });
+                let options = BuildOptions { split, brick, compress: Some(level), ..BuildOptions::default() };
+                let octree = bench.mesh.octree(&options);
+                assert!(octree.header().flags.has(Flags::PACKED), "{}, {options:?}", bench.name);
+                let tracer = OctreeTracer::new(&octree)
+                    .with_isa(isas[k % isas.len()])
+                    .with_order([Order::Single, Order::Flight, Order::Packet][k % 3]);
+                bench.check(&format!("{options:?}"), &tracer);
+            }
+        }
+        // Vertices on a grid make another mesh; but that one packed or not is the same.
+        let grid = BuildOptions { positions: Positions::Grid(None), brick: Some(2000), ..BuildOptions::default() };
+        let plain = bench.mesh.octree(&grid);
+        let packed = bench.mesh.octree(&BuildOptions { compress: Some(3), ..grid });
+        let expected = answers(&OctreeTracer::new(&plain), &bench.queries);
+        let got = answers(&OctreeTracer::new(&packed), &bench.queries);
+        assert_same(&format!("{}, on a grid", bench.name), &bench.queries, &got, &expected);
+    }
+}
+
 #[test]
 fn whatever_walks_it() {
     for bench in Bench::all() {
@@ -231,8 +259,9 @@ fn beside(ray: Ray, apart: f32, random: &mut Random) -> Vec<Ray> {
 
 #[test]
 fn in_packets() {
+    let (mut together, mut alone) = (0, 0);
     for bench in Bench::all() {
-        let (mut random, mut together, mut alone) = (Random(77), 0, 0);
+        let mut random = Random(77);
         let split = random.pick(&SPLITS);
         let octree = bench.mesh.octree(&BuildOptions { split, brick: Some(300), ..BuildOptions::default() });
         let size = octree.root().side() as f32;
@@ -261,8 +290,49 @@ fn in_packets() {
                 alone += 1;
             }
         }
-        // Else this compares a walk with itself.
-        assert!(20 * together > alone, "{}: {together} of {alone} went together", bench.name);
+    }
+    // Else this compares a walk with itself. Rays along an axis and meshes of no moderate size make no packets.
+    assert!(20 * together > alone, "{together} of {alone} went together");
+}
+
+/// A packet once took the second of two equal triangles for the first, met again in another leaf, when the packet before it had hit that.
+#[test]
+fn equal_triangles_in_a_packet_again_and_again() {
+    let mut mesh = Mesh::cube(3);
+    mesh.faces.extend(mesh.faces.clone());
+    let (mut random, faces) = (Random(5), mesh.faces.len());
+    for split in SPLITS {
+        let octree = mesh.octree(&BuildOptions { split, brick: Some(64), ..BuildOptions::default() });
+        for isa in Isa::available() {
+            let tracer = OctreeTracer::new(&octree).with_isa(isa).with_order(Order::Packet);
+            let (mut last, mut hits) = (Vec::new(), 0);
+            for k in 0..600 {
+                if k % 3 == 0 {
+                    let (to, from) = (random.vector().map(|x| 0.4 * x), random.vector().map(|x| 4.0 * x));
+                    let ray = Ray::new(from, std::array::from_fn::<f32, 3, _>(|i| to[i] - from[i]));
+                    last = beside(ray, 0.0, &mut random);
+                }
+                // Now each leaves out one of the two, now the other.
+                let skips: Vec<Skip> = (0..last.len())
+                    .map(|i| match k % 3 {
+                        0 => Skip::NONE,
+                        _ => Skip::one(FaceId(((i * 7 + k) % faces) as u32)),
+                    })
+                    .collect();
+                let mut found = vec![None; last.len()];
+                tracer.closest_each(&last, &skips, &mut found, &mut Counters::default()).unwrap();
+                for ((ray, skip), found) in last.iter().zip(&skips).zip(&found) {
+                    let alone = tracer.closest(ray, *skip).unwrap();
+                    assert_eq!(
+                        found.map(|f| bits(f.hit)),
+                        alone.map(|f| bits(f.hit)),
+                        "{split:?} {isa:?} {ray:?} {skip:?}"
+                    );
+                    hits += u32::from(alone.is_some());
+                }
+            }
+            assert!(hits > 1000, "{hits} hits test little");
+        }
     }
 }
 

@@ -117,7 +117,8 @@ fn a_peer_is_asked_in_turn_and_the_ratio_told() {
     assert_eq!(figures.lines().filter(|l| l.starts_with("| planet, whole.")).count(), 4, "{figures}");
     let markdown = lab.bench(&[&args[..], &["--peer-command", PEER, "--markdown", "--clock", "cpu", "-q"]].concat());
     let head = markdown.lines().find(|l| l.starts_with("| rays")).unwrap();
-    assert!(head.ends_with("| x slowpoke |"), "{markdown}");
+    assert!(head.ends_with("| x slowpoke | cost |"), "{markdown}");
+    assert!(markdown.contains("exactness costs"), "{markdown}");
     let cells = |line: &str| line.matches('|').count();
     assert!(markdown.lines().filter(|l| l.starts_with('|')).all(|l| cells(l) == cells(head)), "{markdown}");
 }

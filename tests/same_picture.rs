@@ -59,10 +59,20 @@ fn no_way_of_building_or_drawing_changes_a_byte() {
         "--split octree --cell 8 --brick 64",
         "--split sah --brick 7 --leaf 3",
         "--split sah --no-ids --threads 1",
+        "--split sah --compress zstd",
+        "--split sah --brick 500 --compress zstd:1",
+        "--split octree --cell 8 --brick 64 --compress zstd:19",
+        "--split strict --compress zstd:3",
     ] {
         run("octbuild", folder, &format!("bunny.obj -o bunny.oct {options}"));
         assert!(first == draw("fast.txt"), "{options}");
     }
+    // On a grid the bunny is another one, but the same whether it is packed or not.
+    run("octbuild", folder, "bunny.obj -o bunny.oct --positions grid:0.001");
+    let coarse = draw("fast.txt");
+    assert!(first != coarse, "a grid of a millimetre");
+    run("octbuild", folder, "bunny.obj -o bunny.oct --positions grid:0.001 --brick 500 --compress zstd");
+    assert!(coarse == draw("fast.txt"), "on a grid, packed");
     // The faces in another order: by the last digits of their line numbers.
     let text = fs::read_to_string(folder.join("bunny.obj")).unwrap();
     let (faces, rest): (Vec<&str>, Vec<&str>) = text.lines().partition(|line| line.starts_with("f "));

@@ -102,12 +102,7 @@ impl Shear {
     #[inline(always)]
     pub fn new(ray: &Ray, bounds: Aabb) -> Shear {
         let (d, o) = (ray.direction, ray.origin);
-        let z = match (d[0].abs() > d[1].abs(), d[2].abs() > d[0].abs(), d[2].abs() > d[1].abs()) {
-            (true, true, _) | (false, _, true) => 2,
-            (true, false, _) => 0,
-            (false, _, false) => 1,
-        };
-        let axes = [(z + 1) % 3, (z + 2) % 3, z];
+        let axes = axes_of(d);
         // f32 differences are rounded; the factor of 1 + 4 eps covers that.
         let reach = |min: f32, max: f32, o: f32| greater((min - o).abs(), (max - o).abs());
         let (min, max) = (bounds.min, bounds.max);
@@ -155,6 +150,16 @@ impl Shear {
     pub fn depth_factors(inverse: f32) -> [f32; 3] {
         let (scale, underflow) = (inverse.abs(), 1.0 / (1u64 << 44) as f32);
         [2.2 * scale, 12.0 * EPS * scale, scale * underflow + f32::MIN_POSITIVE]
+    }
+
+    /// The same without what bounds need: for the tracer without them that exactness is measured against.
+    #[doc(hidden)]
+    #[inline(always)]
+    pub fn without_bounds(ray: &Ray) -> Shear {
+        let (d, o, axes) = (ray.direction, ray.origin, axes_of(ray.direction));
+        let [x, y, z] = axes;
+        let (origin, inverse) = ([o[x], o[y], o[z]], 1.0 / d[z]);
+        Shear { axes, origin, sx: d[x] / d[z], sy: d[y] / d[z], inverse, ..Shear::default() }
     }
 
     /// The origin on `axes`.
@@ -238,6 +243,17 @@ impl Shear {
         }
         lanes
     }
+}
+
+/// A ray's axes that play x, y and z.
+#[inline(always)]
+fn axes_of(d: [f32; 3]) -> [usize; 3] {
+    let z = match (d[0].abs() > d[1].abs(), d[2].abs() > d[0].abs(), d[2].abs() > d[1].abs()) {
+        (true, true, _) | (false, _, true) => 2,
+        (true, false, _) => 0,
+        (false, _, false) => 1,
+    };
+    [(z + 1) % 3, (z + 2) % 3, z]
 }
 
 #[inline(always)]

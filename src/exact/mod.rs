@@ -7,7 +7,7 @@
 //!
 //! - [`Crossing`]: where a ray meets a triangle: hit or miss, exact order along the ray, correctly rounded t, u, v.
 //! - [`Shear`]: the f32 filter in front of it, for the vertices of a whole leaf at once (Woop, Benthin and Wald 2013).
-//! - [`side`], [`orient2d`], [`exactly_degenerate`], [`touches_box`]: the other predicates that the library needs.
+//! - [`side`], [`heading`], [`orient2d`], [`exactly_degenerate`], [`touches_box`]: the other predicates that the library needs.
 //!
 //! What it does not do: nothing here knows of trees, files or pages.
 
@@ -28,4 +28,4 @@ pub use filter::{Depths, LANES, Lanes, Shear};
 pub use overlap::touches_box;
 pub use plane::{exactly_degenerate, orient2d};
 pub(crate) use predicates::U;
-pub use predicates::side;
+pub use predicates::{heading, side};

@@ -2,7 +2,7 @@
 
 use std::cmp::Ordering;
 
-use super::expansion::{Expansion, cross, dot, subtract};
+use super::expansion::{Expansion, cross, dot, exact, subtract};
 use crate::geometry::Triangle;
 
 /// f64's unit roundoff.
@@ -12,10 +12,23 @@ pub(crate) const U: f64 = 1.0 / 9_007_199_254_740_992.0;
 /// (always, for a triangle without area). Exact for finite coordinates.
 #[inline]
 pub fn side(triangle: &Triangle, point: [f32; 3]) -> Ordering {
-    let [a, b, c] = triangle.vertices().map(|v| v.to_array());
-    let difference =
-        |p: [f32; 3], q: [f32; 3]| -> [f64; 3] { std::array::from_fn(|i| f64::from(p[i]) - f64::from(q[i])) };
-    let (e, f, w) = (difference(b, a), difference(c, a), difference(point, a));
+    let a = triangle.a.to_array();
+    along_normal(triangle, std::array::from_fn(|i| f64::from(point[i]) - f64::from(a[i])))
+        .unwrap_or_else(|| dot(&exact_normal(triangle), &subtract(point, a)).sign())
+}
+
+/// The side of the triangle's plane to which `direction` leads: `Greater` where (b - a) x (c - a) points, `Equal` along the
+/// plane. Exact for finite coordinates.
+pub fn heading(triangle: &Triangle, direction: [f32; 3]) -> Ordering {
+    along_normal(triangle, direction.map(f64::from))
+        .unwrap_or_else(|| dot(&exact_normal(triangle), &exact(direction)).sign())
+}
+
+/// The sign of ((b - a) x (c - a)) . w, if it is certain; each component of w is off by at most one rounding.
+fn along_normal(triangle: &Triangle, w: [f64; 3]) -> Option<Ordering> {
+    let [a, b, c] = triangle.vertices().map(|v| v.to_array().map(f64::from));
+    let difference = |p: [f64; 3], q: [f64; 3]| -> [f64; 3] { std::array::from_fn(|i| p[i] - q[i]) };
+    let (e, f) = (difference(b, a), difference(c, a));
     let (mut value, mut permanent) = (0.0, 0.0);
     for (i, w) in w.into_iter().enumerate() {
         let (j, k) = ((i + 1) % 3, (i + 2) % 3);
@@ -24,16 +37,14 @@ pub fn side(triangle: &Triangle, point: [f32; 3]) -> Ordering {
         permanent += (plus.abs() + minus.abs()) * w.abs();
     }
     // Roundings on a path: three differences, two products, one subtraction, two sums.
-    if value.abs() > 9.0 * U * permanent {
-        return if value > 0.0 { Ordering::Greater } else { Ordering::Less };
-    }
-    exact_side(a, b, c, point)
+    let certain = value.abs() > 9.0 * U * permanent;
+    certain.then_some(if value > 0.0 { Ordering::Greater } else { Ordering::Less })
 }
 
-/// The same where the bound does not settle it.
-#[cold]
-fn exact_side(a: [f32; 3], b: [f32; 3], c: [f32; 3], point: [f32; 3]) -> Ordering {
-    dot(&cross(&subtract(b, a), &subtract(c, a)), &subtract(point, a)).sign()
+/// (b - a) x (c - a).
+fn exact_normal(triangle: &Triangle) -> [Expansion; 3] {
+    let [a, b, c] = triangle.vertices().map(|v| v.to_array());
+    cross(&subtract(b, a), &subtract(c, a))
 }
 
 /// The sign of the cross product (b - a) x (d - c) of plane vectors, exactly.
@@ -83,6 +94,27 @@ mod tests {
             assert_eq!(side(&t, [s, s, 0.0]), Ordering::Equal);
             assert!(!exactly_degenerate(&t));
         }
+    }
+
+    #[test]
+    fn heading_is_the_side_of_where_it_leads_from_the_corner() {
+        // From a corner at the origin a direction is the point that it leads to.
+        let (b, c) = ([0.1, 0.7, -0.3], [1e-12, 3e5, 0.7]);
+        let t = triangle([0.0; 3], b, c);
+        let mut seen = [0; 3];
+        for i in -300..300 {
+            // About b + c and b - c, in and beside the plane.
+            let mut d = std::array::from_fn(|k| if i % 2 == 0 { b[k] + c[k] } else { b[k] * 0.5 });
+            d[0] = f32::from_bits((d[0].to_bits() as i32 + i / 4) as u32);
+            assert_eq!(heading(&t, d), side(&t, d), "{d:?}");
+            assert_eq!(heading(&t, d.map(|x| -x)), side(&t, d).reverse());
+            seen[(heading(&t, d) as i8 + 1) as usize] += 1;
+        }
+        assert!(seen.iter().filter(|&&n| n > 10).count() >= 2, "{seen:?}");
+        // Along an edge: neither. Moved off all axes, the same.
+        assert_eq!(heading(&t, b), Ordering::Equal);
+        assert_eq!(heading(&triangle([8.0; 3], [8.5, 9.0, 8.0], [9.0, 8.0, 8.0]), [1.0, -7.0, 0.0]), Ordering::Equal);
+        assert_eq!(heading(&triangle([8.0; 3], [8.5, 9.0, 8.0], [9.0, 8.0, 8.0]), [1.0, -7.0, 1e-45]), Ordering::Less);
     }
 
     #[test]

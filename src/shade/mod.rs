@@ -16,12 +16,15 @@
 //! - A term of weight zero traces no ray. A ray beyond the last bounce, or of a weight below 2^-20, has the
 //!   background's colour.
 //!
-//! Nothing here shifts a ray by an epsilon: see `origin` for where secondary rays start. Soft shadows, glossy
+//! Nothing here shifts a ray by an epsilon: see `origin` for where secondary rays start, `heading` for how their directions are rounded. Soft shadows, glossy
 //! reflection and attenuation are not modelled.
 
 mod batch;
 #[cfg(test)]
 mod double;
+#[cfg(test)]
+mod grazing_tests;
+mod heading;
 mod leave;
 mod material;
 mod object;

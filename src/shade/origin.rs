@@ -15,8 +15,8 @@
 //!    side. If it is not, the shift is doubled (at least one ulp) and tried again. For spheres and planes the f64
 //!    expression that intersection itself evaluates must have the wanted sign by more than its error bound.
 //!
-//! A ray that starts strictly outside a plane and leaves it cannot meet it again, so no self-hit is possible; one whose
-//! rounded direction turns back into the plane meets it, exactly, and stays on its side. That nothing else lies between p
+//! A ray that starts strictly outside a plane and leaves it (`heading` sees to that) cannot meet it again, so no self-hit is
+//! possible. That nothing else lies between p
 //! and o' is checked by tracing that segment, see `leave`.
 
 use glam::{DVec3, Vec3};

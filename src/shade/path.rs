@@ -37,7 +37,8 @@ impl MirrorPath<'_> {
     pub fn bounce(&mut self) -> Result<Option<Bounce>> {
         let Some(meeting) = self.world.meet(&self.ahead)? else { return Ok(None) };
         let departure = self.world.leave(&meeting.spot, true, meeting.path(true))?;
-        let Some(ahead) = departure.along(mirror(&meeting.spot, meeting.incoming)) else { return Ok(None) };
+        let direction = self.world.away(&meeting.spot, true, mirror(&meeting.spot, meeting.incoming));
+        let Some(ahead) = departure.along(direction) else { return Ok(None) };
         self.ahead = ahead;
         Ok(Some(if self.ahead.is_free() { Bounce::Free(self.ahead.ray) } else { Bounce::Wedged }))
     }

@@ -303,10 +303,13 @@ impl World {
             if spot.surface.local != 0.0 {
                 color += s.local * spot.surface.local;
             }
-            let ahead = |departure: &Option<Departure>, direction| departure.as_ref()?.along(direction);
+            let ahead = |near: bool, direction| {
+                let departure = if near { &s.near } else { &s.far };
+                departure.as_ref()?.along(self.away(spot, near, direction))
+            };
             if let Some(direction) = refracted {
                 let weight = Color::splat(spot.surface.transmit);
-                match ahead(&s.far, direction) {
+                match ahead(false, direction) {
                     None => color += weight * self.scene.background,
                     Some(ahead) => {
                         counts.refracted += 1;
@@ -315,7 +318,7 @@ impl World {
                 }
             }
             let goes_on = mirrored != Color::ZERO && about.goes_on(mirrored, *depth);
-            match if goes_on { ahead(&s.near, mirror(spot, incoming)) } else { None } {
+            match if goes_on { ahead(true, mirror(spot, incoming)) } else { None } {
                 None => {
                     if mirrored != Color::ZERO {
                         color += mirrored * self.scene.background;

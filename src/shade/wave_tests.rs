@@ -96,7 +96,7 @@ impl Alone<'_> {
         for (direction, share, near) in through.into_iter().chain((mirrored.1 != Color::ZERO).then_some(mirrored)) {
             let ends = bounces >= self.depth || (weight * share).abs().max_element() < LEAST_WEIGHT;
             let departure = (!ends).then(|| self.world.leave(spot, near, meeting.path(near)).unwrap());
-            match departure.and_then(|d| d.along(direction)) {
+            match departure.and_then(|d| d.along(self.world.away(spot, near, direction))) {
                 None => color += share * background,
                 Some(ahead) => {
                     *(if near { &mut self.counts.mirror } else { &mut self.counts.refracted }) += 1;

@@ -1,20 +1,23 @@
 //! What is asked about a ray: the closest hit, the next one, or whether there is any.
 
-use super::Found;
 use super::arch::Kernel;
-use super::collect::{Any, Closest, Collector, Rounding};
-use crate::exact::Line;
-use crate::geometry::{Hit, Ray, Skip};
+use super::collect::{Any, Closest, Collector, Next, Rounding, Stored};
+use super::walk::{self, Sight};
+use super::{Counters, Found};
+use crate::exact::{Depths, Line, Shear};
+use crate::geometry::{Aabb, Hit, Ray, Skip};
 
 /// A question that a walk answers about a ray.
 pub(super) trait Ask {
     /// What gathers the hits.
-    type Collector<'a>: Collector<'a>;
+    type Collector<'a>: Leaves<'a>;
     type Answer;
     /// The answer where nothing is hit.
     const NOTHING: Self::Answer;
     /// For ray `i` of those that are asked about.
     fn begin<'a>(&self, i: usize, ray: &Ray) -> Self::Collector<'a>;
+    /// Whether packets answer exactly; if not, as f32 alone has it, to measure what that costs.
+    const EXACT: bool = true;
     /// Whether any hit will do.
     const FIRST: bool;
     /// What ray `i` leaves out.
@@ -30,6 +33,46 @@ pub(super) trait Ask {
     );
     /// One that is never asked.
     fn idle<'a>() -> Self::Collector<'a>;
+}
+
+/// Tests the triangles of the leaves that a walk comes to, and keeps what it finds.
+pub(super) trait Leaves<'a> {
+    /// Prepares a ray for [`Leaves::leaf`].
+    fn shear(&self, ray: &Ray, bounds: Aabb) -> Shear;
+    /// Tests a leaf; lowers `far` where it answers [`Next::Nearer`].
+    #[expect(clippy::too_many_arguments, reason = "the state of a walk")]
+    fn leaf<K: Kernel>(
+        &mut self,
+        kernel: K,
+        stored: &Stored<'a>,
+        ray: &Ray,
+        sight: &Sight,
+        depths: &mut Depths,
+        far: &mut f32,
+        counters: &mut Counters,
+    ) -> Next;
+}
+
+/// Exactly.
+impl<'a, C: Collector<'a>> Leaves<'a> for C {
+    #[inline(always)]
+    fn shear(&self, ray: &Ray, bounds: Aabb) -> Shear {
+        Shear::new(ray, bounds)
+    }
+
+    #[inline(always)]
+    fn leaf<K: Kernel>(
+        &mut self,
+        kernel: K,
+        stored: &Stored<'a>,
+        ray: &Ray,
+        sight: &Sight,
+        depths: &mut Depths,
+        far: &mut f32,
+        counters: &mut Counters,
+    ) -> Next {
+        walk::leaf(kernel, stored, ray, sight, depths, far, self, counters)
+    }
 }
 
 /// The closest hit, after `last` if that is given.

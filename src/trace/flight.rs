@@ -74,7 +74,10 @@ struct Flying<'a, C> {
     collector: C,
 }
 
-impl<A: Ask> Job for Flight<'_, '_, A> {
+impl<A: Ask> Job for Flight<'_, '_, A>
+where
+    for<'c> A::Collector<'c>: Collector<'c>,
+{
     type Output = Result<()>;
 
     #[inline(always)]

@@ -18,6 +18,7 @@ mod linear;
 mod near;
 mod octree;
 mod packet;
+mod rough;
 mod setup;
 mod walk;
 

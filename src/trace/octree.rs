@@ -4,6 +4,7 @@ use std::borrow::Borrow;
 
 use super::arch::Isa;
 use super::ask::{Ask, Least, LeastHit, LeastOfEach, Whether, WhetherEach};
+use super::collect::Collector;
 use super::flight::{Flight, STACKS};
 use super::near::Near;
 use super::packet::{self, PACKET};
@@ -81,7 +82,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     }
 
     /// Answers rays one after the other, on this thread; adds the work done to `counters`.
-    fn one_by_one<A: Ask, const N: usize>(
+    pub(super) fn one_by_one<A: Ask, const N: usize>(
         &self,
         ask: A,
         rays: &[Ray],
@@ -97,7 +98,10 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     }
 
     /// Answers rays of which nothing is known, on this thread, by the walk that is faster for them and for the file.
-    fn many<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()> {
+    fn many<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()>
+    where
+        for<'c> A::Collector<'c>: Collector<'c>,
+    {
         match self.order {
             Some(Order::Flight) => self.several(ask, rays, answers, counters),
             Some(Order::Single) => self.one_by_one::<A, PACKET>(ask, rays, answers, false, counters),
@@ -111,7 +115,10 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     }
 
     /// Answers rays several at a time, on this thread; adds the work done to `counters`.
-    fn several<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()> {
+    fn several<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()>
+    where
+        for<'c> A::Collector<'c>: Collector<'c>,
+    {
         let file = File::new(self.octree(), &self.scene);
         STACKS.with_borrow_mut(|stacks| self.isa.run(Flight { ask, rays, answers, file, counters, stacks }))?;
         self.octree().fault()

@@ -60,6 +60,8 @@ struct Group {
     /// Bounds of the t of what was hit.
     lo: Row,
     hi: Row,
+    /// u and v where they are not rounded from the triangle.
+    shares: [Row; 2],
     /// What was hit: its face, its page, its number there; and meanwhile, in a leaf.
     face: [u32; WIDE],
     page: [u32; WIDE],
@@ -268,7 +270,9 @@ fn conclude<K: Kernel, A: Ask>(kernel: K, group: &Group, done: u32, answers: &mu
     let hit = done & kernel.below(kernel.get(&group.lo), kernel.all(f32::INFINITY));
     let mut rounded = Rounded::zeroed();
     let block = &group.block;
-    if !A::FIRST && hit != 0 {
+    if !A::EXACT {
+        rounded = Rounded { t: group.lo, u: group.shares[0], v: group.shares[1], certain: hit };
+    } else if !A::FIRST && hit != 0 {
         kernel.rounded(block, hit, &mut rounded);
     }
     let mut alone = 0;
@@ -566,6 +570,15 @@ fn one_by_one<K: Kernel, A: Ask>(
         let origin = [origin[x.min(2)].0[i], origin[y.min(2)].0[i], origin[z.min(2)].0[i]];
         let slopes = [group.slopes[0].0[i], group.slopes[1].0[i]];
         let shear = Shear::assembled(common.axes, origin, slopes, group.inverse.0[i], common.bound);
+        if !A::EXACT {
+            let last = if group.hi.0[i] < group.tmax.0[i] { group.hi.0[i] } else { group.tmax.0[i] };
+            if let Some(found) = kernel.nearest(&stored.leaf, &shear, [group.tmin.0[i], last]) {
+                (group.lo.0[i], group.hi.0[i], group.which[i]) = (found.t, found.t, found.lane);
+                (group.shares[0].0[i], group.shares[1].0[i]) = (found.u, found.v);
+                taken |= 1 << i;
+            }
+            continue;
+        }
         let (tmin, tmax, before, reach) = (group.tmin.0[i], group.tmax.0[i], group.lo.0[i], group.hi.0[i]);
         let lanes = kernel.classify(&stored.leaf, &shear, [tmin, if reach < tmax { reach } else { tmax }], depths);
         let mut doubt = lanes.doubt != 0;
@@ -596,13 +609,13 @@ fn one_by_one<K: Kernel, A: Ask>(
         }
         doubted |= u32::from(doubt) << i;
     }
-    keep(stored, group, if A::FIRST { 0 } else { taken & !doubted });
+    keep::<A>(stored, group, if A::FIRST { 0 } else { taken & !doubted });
     (taken, doubted)
 }
 
 /// Keeps the triangles that rays hit.
 #[inline(always)]
-fn keep(stored: &Stored<'_>, group: &mut Group, taken: u32) {
+fn keep<A: Ask>(stored: &Stored<'_>, group: &mut Group, taken: u32) {
     let leaf = &stored.leaf;
     let (x, y, z) = (leaf.coordinates(0), leaf.coordinates(1), leaf.coordinates(2));
     let mut last = (u32::MAX, FaceId::NONE);
@@ -612,7 +625,10 @@ fn keep(stored: &Stored<'_>, group: &mut Group, taken: u32) {
         rest &= rest - 1;
         let j = group.which[i];
         let [a, b, c] = leaf.corners(j as usize);
-        for (rows, k) in [(&mut group.block.a, a), (&mut group.block.b, b), (&mut group.block.c, c)] {
+        let corners = if A::EXACT { 3 } else { 0 };
+        for (rows, k) in
+            [(&mut group.block.a, a), (&mut group.block.b, b), (&mut group.block.c, c)].into_iter().take(corners)
+        {
             let (Some(&x), Some(&y), Some(&z)) = (x.get(k), y.get(k), z.get(k)) else { continue };
             (rows[0].0[i], rows[1].0[i], rows[2].0[i]) = (x, y, z);
         }
@@ -658,7 +674,9 @@ fn together<K: Kernel, A: Ask>(
         kernel.put(wide, &mut row[0]);
         kernel.put(high, &mut row[1]);
         kernel.put(depth, &mut row[2]);
-        kernel.put(kernel.greater(kernel.size(wide), kernel.size(high)), &mut row[3]);
+        if A::EXACT {
+            kernel.put(kernel.greater(kernel.size(wide), kernel.size(high)), &mut row[3]);
+        }
     }
     let (linear, constant) = (kernel.all(common.bound[0]), kernel.all(common.bound[1]));
     let (mut lo, mut hi) = (kernel.get(&group.lo), kernel.get(&group.hi));
@@ -673,6 +691,35 @@ fn together<K: Kernel, A: Ask>(
         let u = kernel.minus(kernel.times(bx, cy), kernel.times(by, cx));
         let v = kernel.minus(kernel.times(cx, ay), kernel.times(cy, ax));
         let w = kernel.minus(kernel.times(ax, by), kernel.times(ay, bx));
+        if !A::EXACT {
+            let least = kernel.lesser(kernel.lesser(u, v), w);
+            let most = kernel.greater(kernel.greater(u, v), w);
+            let hit = kernel.at_most(kernel.lesser(kernel.negative(least), most), kernel.all(0.0)) & going;
+            if hit == 0 {
+                continue;
+            }
+            let share = kernel.over(kernel.all(1.0), kernel.plus(kernel.plus(u, v), w));
+            let (u, v, w) = (kernel.times(u, share), kernel.times(v, share), kernel.times(w, share));
+            let (of_a, of_b) = (kernel.times(u, kernel.get(&a[2])), kernel.times(v, kernel.get(&b[2])));
+            let sum = kernel.plus(kernel.plus(of_a, of_b), kernel.times(w, kernel.get(&c[2])));
+            let t = kernel.times(sum, kernel.get(&group.inverse));
+            let take = hit & kernel.at_most(tmin, t) & kernel.at_most(t, tmax) & kernel.below(t, lo);
+            lo = kernel.choose(take, t, lo);
+            hi = lo;
+            let [old_u, old_v] = [kernel.get(&group.shares[0]), kernel.get(&group.shares[1])];
+            kernel.put(kernel.choose(take, v, old_u), &mut group.shares[0]);
+            kernel.put(kernel.choose(take, w, old_v), &mut group.shares[1]);
+            if A::FIRST {
+                going &= !take;
+            }
+            taken |= take;
+            let mut rest = take;
+            while rest != 0 {
+                group.which[rest.trailing_zeros() as usize & (WIDE - 1)] = j as u32;
+                rest &= rest - 1;
+            }
+            continue;
+        }
         let m = kernel.greater(kernel.greater(kernel.get(&a[3]), kernel.get(&b[3])), kernel.get(&c[3]));
         let bound = kernel.fused(linear, m, constant);
         let least = kernel.lesser(kernel.lesser(u, v), w);
@@ -712,8 +759,9 @@ fn together<K: Kernel, A: Ask>(
             take = counts & inside & kernel.below(h, lo);
             let mut tied = counts & !take;
             if tied != 0 {
-                // The same triangle, stored in several leaves, has the same bounds.
-                tied &= !(kernel.at_most(l, lo) & kernel.at_most(lo, l) & same(stored, j, tied, group));
+                // The same triangle, stored in several leaves, has the same bounds. What was taken in this leaf is none of these.
+                let twice = kernel.at_most(l, lo) & kernel.at_most(lo, l) & !taken;
+                tied &= !(twice & same(stored, j, tied, group));
             }
             doubt |= tied;
             lo = kernel.choose(take, l, lo);
@@ -734,7 +782,7 @@ fn together<K: Kernel, A: Ask>(
     }
     kernel.put(lo, &mut group.lo);
     kernel.put(hi, &mut group.hi);
-    keep(stored, group, if A::FIRST { 0 } else { taken & !doubtful });
+    keep::<A>(stored, group, if A::FIRST { 0 } else { taken & !doubtful });
     (taken, doubtful)
 }
 

@@ -20,7 +20,7 @@ use bytemuck::Zeroable;
 
 use super::Counters;
 use super::arch::{Cell, Job, Kernel, Saved};
-use super::ask::Ask;
+use super::ask::{Ask, Leaves};
 use super::collect::{Collector, Next, Place, Stored};
 use super::packet;
 use super::setup::{Scene, Setup};
@@ -135,16 +135,16 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
                     }
                     count += 1;
                 }
-                let mut left = live;
-                while left != 0 {
-                    let k = left.trailing_zeros() as usize % LANES;
-                    left &= left - 1;
-                    crew[k].shear = Shear::new(&those[k], file.scene.bounds);
-                }
                 let mut collectors: [A::Collector<'_>; LANES] =
                     std::array::from_fn(
                         |k| if k < count { ask.begin(first + places[k], &those[k]) } else { A::idle() },
                     );
+                let mut left = live;
+                while left != 0 {
+                    let k = left.trailing_zeros() as usize % LANES;
+                    left &= left - 1;
+                    crew[k].shear = collectors[k].shear(&those[k], file.scene.bounds);
+                }
                 let mut left = live;
                 while left != 0 {
                     let k = left.trailing_zeros() as usize % LANES;
@@ -201,7 +201,7 @@ impl<'a> File<'a> {
         ray: &Ray,
         sight: &Sight,
         depths: &mut Depths,
-        collector: &mut impl Collector<'a>,
+        collector: &mut impl Leaves<'a>,
         counters: &mut Counters,
     ) -> Result<()> {
         let mut view = start.view;
@@ -234,7 +234,7 @@ impl<'a> File<'a> {
             let byte = node.slots[slot];
             if byte < EMPTY {
                 let Some(stored) = self.stored(&view, index, node, byte, counters) else { continue };
-                match leaf(kernel, &stored, ray, sight, depths, &mut far, collector, counters) {
+                match collector.leaf(kernel, &stored, ray, sight, depths, &mut far, counters) {
                     Next::On => {}
                     Next::Nearer => left &= kernel.within(near, far),
                     Next::Done => break 'walk,
@@ -324,7 +324,7 @@ pub(super) fn keep<K: Kernel>(
 /// Tests the triangles of a leaf, and gives the hits to the collector.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "the state of a walk")]
-fn leaf<'a, K: Kernel>(
+pub(super) fn leaf<'a, K: Kernel>(
     kernel: K,
     stored: &Stored<'a>,
     ray: &Ray,

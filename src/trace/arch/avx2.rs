@@ -1,8 +1,10 @@
 //! The inner loops with AVX2: eight slots of a node at once, a leaf in two halves of eight triangles.
 
+mod rough;
+
 use std::arch::x86_64::*;
 
-use super::{Aim, Block, Cell, Fit, Job, Kernel, MODERATE, NEAR, Rounded, Saved, Way};
+use super::{Aim, Block, Cell, Fit, Job, Kernel, MODERATE, NEAR, Rough, Rounded, Saved, Way};
 use super::{round, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{self, Coding, Leaf, Node};
@@ -337,6 +339,12 @@ impl Kernel for Avx2 {
     fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded) {
         // SAFETY: `self` is proof.
         unsafe { round::avx2::rounded(block, wanted, to) }
+    }
+
+    #[inline(always)]
+    fn nearest(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough> {
+        // SAFETY: `self` is proof.
+        unsafe { rough::nearest(leaf, shear, range) }
     }
 }
 

@@ -1,8 +1,10 @@
 //! The inner loops with AVX-512: both ends of a node's eight slots at once, or a leaf's sixteen triangles.
 
+mod rough;
+
 use std::arch::x86_64::*;
 
-use super::{Aim, Block, Cell, Fit, Job, Kernel, Rounded, Saved, Way, avx2, round, scalar};
+use super::{Aim, Block, Cell, Fit, Job, Kernel, Rough, Rounded, Saved, Way, avx2, round, scalar};
 use crate::exact::{Depths, Lanes, Shear};
 use crate::format::{Coding, Leaf, Node};
 use crate::geometry::Ray;
@@ -217,6 +219,12 @@ impl Kernel for Avx512 {
     fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded) {
         // SAFETY: `self` is proof.
         unsafe { round::avx512::rounded(block, wanted, to) }
+    }
+
+    #[inline(always)]
+    fn nearest(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough> {
+        // SAFETY: `self` is proof.
+        unsafe { rough::nearest(leaf, shear, range) }
     }
 }
 

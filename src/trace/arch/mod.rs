@@ -150,6 +150,21 @@ pub(super) trait Kernel: Wide {
     fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes;
     /// t, u, v of those hits of a block whose bit is set in `wanted`, each as [`Line::rounded`](crate::exact::Line::rounded).
     fn rounded(self, block: &Block, wanted: u32, to: &mut Rounded);
+    /// The nearest triangle of a leaf that the ray seems to hit at a t in the closed `range`, in f32 without any bound of the error.
+    /// No tracer answers with it: it measures what exactness costs.
+    fn nearest(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough>;
+}
+
+/// A hit as f32 has it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rough {
+    /// The triangle's number in its leaf.
+    pub lane: u32,
+    pub t: f32,
+    /// Weight of the second corner.
+    pub u: f32,
+    /// Weight of the third corner.
+    pub v: f32,
 }
 
 /// Something to be done with whichever kernel is there.

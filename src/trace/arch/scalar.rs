@@ -1,8 +1,10 @@
 //! The portable inner loops.
 
+pub(super) mod rough;
+
 use glam::Vec3;
 
-use super::{Aim, Block, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Rounded, Row, Saved, WIDE, Way};
+use super::{Aim, Block, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Rough, Rounded, Row, Saved, WIDE, Way};
 use crate::exact::{Depths, LANES, Lanes, Line, Shear};
 use crate::format::{Coding, Frame, Leaf, Node};
 use crate::geometry::{Ray, Triangle};
@@ -132,6 +134,11 @@ impl Kernel for Scalar {
                 (to.t.0[i], to.u.0[i], to.v.0[i]) = (t, u, v);
             }
         }
+    }
+
+    #[inline(always)]
+    fn nearest(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough> {
+        rough::nearest(leaf, shear, range)
     }
 }
 

@@ -31,6 +31,9 @@ const TOGETHER: usize = 100;
 /// Rays between two looks at whether the user wants to stop.
 const PORTION: usize = 2000;
 
+/// So few probes are all asked in every mode.
+const HANDFUL: usize = 100;
+
 /// Disagreements described, at most.
 const EXAMPLES: usize = 8;
 
@@ -46,7 +49,15 @@ pub struct Bench {
 /// One way to build the mesh's file, with the tracers over it.
 struct File {
     options: BuildOptions,
-    modes: Vec<(&'static str, Box<dyn Tracer>)>,
+    modes: Vec<Mode>,
+}
+
+/// A way to trace.
+struct Mode {
+    name: &'static str,
+    tracer: Box<dyn Tracer>,
+    /// Of so many probes one is asked: what is much slower than the others gets fewer.
+    every: usize,
 }
 
 /// What the oracle says of a probe.
@@ -63,7 +74,7 @@ impl Bench {
             let file = octree(mesh, options)?;
             let mut modes = octree_modes(&file, mesh.faces.len() + usize::from(options.leaf));
             if mesh.faces.len() <= LINEAR {
-                modes.push(("linear", Box::new(LinearTracer::new(&file)?)));
+                modes.push(Mode { name: "linear", tracer: Box::new(LinearTracer::new(&file)?), every: 1 });
             }
             Ok(File { options: options.clone(), modes })
         };
@@ -91,14 +102,18 @@ impl Bench {
         let started = Instant::now();
         let mut first: Option<Vec<Option<Found>>> = None;
         for file in &self.files {
-            for (name, tracer) in &file.modes {
+            for Mode { name, tracer, every } in &file.modes {
+                // Of a handful all.
+                let every = if probes.len() <= HANDFUL { &1 } else { every };
                 let mut mode = ModeReport { mode: name, ..ModeReport::default() };
-                let found = closest(tracer.as_ref(), probes, &mut mode)?;
+                let found = closest(tracer.as_ref(), probes, *every, &mut mode)?;
                 let tally = &mut mode.tally;
-                for (k, (probe, truth)) in probes.iter().zip(&truths).enumerate() {
+                for (&this, (k, (probe, truth))) in
+                    found.iter().zip(probes.iter().zip(&truths).enumerate().step_by(*every))
+                {
                     let before = tally.disagreements();
-                    compare_closest(tally, truth.closest.as_ref(), found[k].map(|f| f.hit));
-                    let same = |f: &Vec<Option<Found>>| bits(f[k]) == bits(found[k]);
+                    compare_closest(tally, truth.closest.as_ref(), this.map(|f| f.hit));
+                    let same = |f: &Vec<Option<Found>>| bits(f[k]) == bits(this);
                     tally.differs += u64::from(!first.as_ref().is_none_or(same));
                     let any = tracer.any(&library_ray(&probe.ray), skip(probe.skip))?;
                     tally.wrong_any += u64::from(any != truth.closest.is_some());
@@ -155,13 +170,13 @@ pub fn run_case(case: &Case, options: &[BuildOptions], monitor: Monitor<'_>) -> 
 }
 
 /// A tracer for each instruction set of this processor, and one that walks rays in packets; with which set depends on `turn`.
-fn octree_modes(file: &Arc<Octree>, turn: usize) -> Vec<(&'static str, Box<dyn Tracer>)> {
+fn octree_modes(file: &Arc<Octree>, turn: usize) -> Vec<Mode> {
     let tracer = |isa: Isa| OctreeTracer::new(Arc::clone(file)).with_isa(isa);
     let sets = Isa::available();
     let packed = Packed(tracer(sets[turn % sets.len()]).with_order(Order::Packet));
-    let mut modes: Vec<(&'static str, Box<dyn Tracer>)> =
-        sets.into_iter().map(|isa| (isa.name(), Box::new(tracer(isa)) as Box<dyn Tracer>)).collect();
-    modes.push(("packet", Box::new(packed)));
+    let mode = |isa: Isa| Mode { name: isa.name(), tracer: Box::new(tracer(isa)), every: 1 };
+    let mut modes: Vec<Mode> = sets.into_iter().map(mode).collect();
+    modes.push(Mode { name: "packet", tracer: Box::new(packed), every: PACKET });
     modes
 }
 
@@ -169,7 +184,7 @@ fn octree_modes(file: &Arc<Octree>, turn: usize) -> Vec<(&'static str, Box<dyn T
 struct Packed(OctreeTracer<Arc<Octree>>);
 
 /// Rays of a packet.
-const PACKET: usize = 16;
+const PACKET: usize = 8;
 
 impl Packed {
     /// The ray's companions, from the same point in nearly the same direction, and its place among them.
@@ -210,18 +225,18 @@ impl Tracer for Packed {
     }
 }
 
-/// The closest hits, timed, with the tiers that each ray needed.
-fn closest(tracer: &dyn Tracer, probes: &[Probe], mode: &mut ModeReport) -> Result<Vec<Option<Found>>> {
+/// The closest hits of one of so many probes, timed, with the tiers that each ray needed.
+fn closest(tracer: &dyn Tracer, probes: &[Probe], every: usize, mode: &mut ModeReport) -> Result<Vec<Option<Found>>> {
     let mut found = Vec::with_capacity(probes.len());
     let started = Instant::now();
-    for probe in probes {
+    for probe in probes.iter().step_by(every) {
         let mut counters = Counters::default();
         found.push(tracer.closest_counted(&library_ray(&probe.ray), skip(probe.skip), &mut counters)?);
         mode.tally.rays_f64 += u64::from(counters.doubts > 0);
         mode.tally.rays_exact += u64::from(counters.exact > 0);
     }
     mode.tally.seconds = started.elapsed().as_secs_f64();
-    mode.tally.traced = probes.len() as u64;
+    mode.tally.traced = found.len() as u64;
     Ok(found)
 }
 

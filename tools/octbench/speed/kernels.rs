@@ -42,6 +42,18 @@ pub const KERNELS: &[Kernel] = &[
         closest: Some(|tracer, rays, hits| tracer.clone().with_order(Order::Packet).closest_batch(rays, hits)),
         any: Some(|tracer, rays, blocked| tracer.clone().with_order(Order::Packet).any_batch(rays, blocked)),
     },
+    Kernel {
+        name: "float",
+        float_of: Some("single"),
+        closest: Some(|tracer, rays, hits| tracer.rough_closest_batch(rays, hits, false)),
+        any: Some(|tracer, rays, blocked| tracer.rough_any_batch(rays, blocked, false)),
+    },
+    Kernel {
+        name: "float-packet",
+        float_of: Some("packet"),
+        closest: Some(|tracer, rays, hits| tracer.rough_closest_batch(rays, hits, true)),
+        any: Some(|tracer, rays, blocked| tracer.rough_any_batch(rays, blocked, true)),
+    },
 ];
 
 /// The kernel of a name.
