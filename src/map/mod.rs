@@ -18,8 +18,7 @@ use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::time::{Duration, Instant};
+use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec3, Vec3};
 
@@ -43,8 +42,6 @@ pub struct Octree {
     sections: [Range<usize>; 5],
     /// Which pages were checked and found sound.
     sound: Box<[AtomicBool]>,
-    /// Nanoseconds that pages were checked for, all threads together.
-    checking: AtomicU64,
     /// The pages of a packed file, each unpacked when it is first used; empty for one that is not packed.
     unpacked: Box<[OnceLock<Box<[Node]>>]>,
 }
@@ -73,8 +70,7 @@ impl Octree {
         let sound = (0..header.pages).map(|_| AtomicBool::new(false)).collect();
         let packed = if header.flags.has(Flags::PACKED) { header.pages } else { 0 };
         let unpacked = (0..packed).map(|_| OnceLock::new()).collect();
-        let octree =
-            Octree { path: path.to_owned(), map, header, sections, sound, checking: AtomicU64::new(0), unpacked };
+        let octree = Octree { path: path.to_owned(), map, header, sections, sound, unpacked };
         validate_top(&octree.header, &octree.top()).map_err(|what| octree.damaged(None, what))?;
         octree.fault()?;
         Ok(octree)
@@ -162,11 +158,6 @@ impl Octree {
         self.records().iter().zip(sound).filter_map(|(record, sound)| sound.then_some(record))
     }
 
-    /// The time that checking pages (reading and unpacking them included) has taken so far, all threads together.
-    pub fn checking(&self) -> Duration {
-        Duration::from_nanos(self.checking.load(Ordering::Relaxed))
-    }
-
     /// An error if the file was cut short while it was in use: what was read since may be zeros, and no result holds.
     #[inline]
     pub fn fault(&self) -> Result<()> {
@@ -180,7 +171,6 @@ impl Octree {
         let (Some(record), Some(brick)) = (self.records().get(i), self.bricks().get(i)) else {
             return Err(self.no_page(id));
         };
-        let start = Instant::now();
         let Header { flags, materials, source_triangles, .. } = self.header;
         let stored = self.stored_bytes(record);
         let outcome = match checksum(stored) == record.checksum {
@@ -193,7 +183,6 @@ impl Octree {
         self.fault()?;
         let bytes = outcome.map_err(|what| self.damaged(Some(id.0), what))?;
         self.sound[i].store(true, Ordering::Release);
-        self.checking.fetch_add(start.elapsed().as_nanos() as u64, Ordering::Relaxed);
         Ok(Page::new(bytes, brick, flags))
     }
 

@@ -4,9 +4,9 @@
 #   tests/peers/frame.sh OUT [ROUNDS [THREADS]]      5 rounds and 2 threads if not given
 #
 # The same rays on both sides: planet_10m over, 1024 x 1024, one mirror bounce, a shadow ray at each hit that faces the light. Parsing,
-# building, opening and writing the picture are left out on both sides. octrender checks each page when it first uses it, which belongs to
-# opening the file but falls into the frame: the ratios are given without it, and in brackets with it. `wall` is the clock's ratio,
-# `cpu` that of the processor's seconds of all threads: the one to read on a machine that others work on.
+# building, opening and writing the picture are left out on both sides; but octrender checks each page when it first uses it, in
+# the frame's time, while the harness has drawn a frame before. `wall` is the clock's ratio, `cpu` that of the processor's seconds of all
+# threads: the one to read on a machine that others work on.
 #
 # Wants octbuild and octrender on the path, a C and a C++ compiler, and Embree 3 (apt-get install libembree-dev). MESH names another
 # planet (planet_1m); EMBREE other options of the harness ("--quality medium --robust").
@@ -64,11 +64,10 @@ own
 for _ in $(seq "$rounds"); do
     answer=$(peer)
     own
-    echo "$(echo "$answer" | number frame) $(echo "$answer" | number cpu) $threads" \
-        "$(number trace_seconds < frame.json) $(number trace_cpu_seconds < frame.json) $(number check_seconds < frame.json)" |
-        awk '{ printf "%.3f %.3f %.3f %.3f  Embree %.0f ms (cpu %.0f), octrender %.0f ms (cpu %.0f, of it checks %.0f)\n", \
-            $1 / ($4 - $6 / $3), $2 / ($5 - $6), $1 / $4, $2 / $5, 1e3 * $1, 1e3 * $2, 1e3 * $4, 1e3 * $5, 1e3 * $6 }' |
+    echo "$(echo "$answer" | number frame) $(echo "$answer" | number cpu)" \
+        "$(number trace_seconds < frame.json) $(number trace_cpu_seconds < frame.json)" |
+        awk '{ printf "%.3f %.3f  Embree %.0f ms (cpu %.0f), octrender %.0f ms (cpu %.0f)\n", $1 / $3, $2 / $4, 1e3 * $1, 1e3 * $2, 1e3 * $3, 1e3 * $4 }' |
         tee -a ratios
 done
-median() { cut -d' ' -f"$1" ratios | sort -n | awk '{ x[NR] = $1 } END { print (x[int((NR + 1) / 2)] + x[int(NR / 2) + 1]) / 2 }'; }
-echo "median of $rounds rounds: wall $(median 1) ($(median 3)), cpu $(median 2) ($(median 4))"
+median() { sort -n | awk '{ x[NR] = $1 } END { print (x[int((NR + 1) / 2)] + x[int(NR / 2) + 1]) / 2 }'; }
+echo "median of $rounds rounds: wall $(cut -d' ' -f1 ratios | median), cpu $(cut -d' ' -f2 ratios | median)"

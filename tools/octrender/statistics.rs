@@ -41,8 +41,6 @@ struct Pages {
     touched: u64,
     read: u64,
     bytes_read: u64,
-    /// Of `trace_cpu_seconds`, for checking pages at their first use.
-    check_seconds: f64,
 }
 
 impl Stats {
@@ -63,7 +61,6 @@ impl Stats {
                 total: meshes.iter().map(|m| u64::from(m.header().pages)).sum(),
                 touched,
                 read: touched,
-                check_seconds: meshes.iter().map(|m| m.checking().as_secs_f64()).sum(),
                 bytes_read: meshes.iter().flat_map(|m| m.used()).map(|page| u64::from(page.stored_bytes)).sum(),
             },
             peak_rss_bytes: stats::peak_rss_bytes(),
