@@ -10,6 +10,7 @@ pub(crate) const U: f64 = 1.0 / 9_007_199_254_740_992.0;
 
 /// The side of the triangle's plane on which `point` lies: `Greater` where (b - a) x (c - a) points, `Equal` on the plane
 /// (always, for a triangle without area). Exact for finite coordinates.
+#[inline]
 pub fn side(triangle: &Triangle, point: [f32; 3]) -> Ordering {
     let a = triangle.a.to_array();
     along_normal(triangle, std::array::from_fn(|i| f64::from(point[i]) - f64::from(a[i])))

@@ -7,6 +7,9 @@
 
 /// Sample `s` of `k * k`: offsets within its pixel, each in 0..1.
 pub(super) fn position(s: u32, k: u32) -> [f64; 2] {
+    if k == 1 {
+        return [0.5; 2];
+    }
     let (column, row) = (s % k, s / k);
     let (x, y) = (column * k + (k - 1 - row), row * k + column);
     [x, y].map(|i| (f64::from(i) + 0.5) / (f64::from(k) * f64::from(k)))

@@ -11,10 +11,14 @@ use super::film::Film;
 use super::{hilbert, sampling};
 use crate::error::{Error, Result};
 use crate::event::Monitor;
-use crate::shade::{RayCounts, Scratch, World};
+use crate::shade::{RayCounts, Wave, World, WorldRay};
 
 /// Most pixels on a side.
 const MOST_SIDE: u32 = 65_536;
+/// Most samples that are followed together.
+const WAVE: usize = 1024;
+/// Pixels of a tile come in blocks of this side, and in each along a Z curve (Morton 1966): 16 or 64 rays in a row are neighbours.
+const BLOCK: u32 = 8;
 
 /// What the scene leaves to whoever renders it, or what is to be other than the scene says.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -146,22 +150,22 @@ impl<'w> Job<'w> {
 
     /// One thread: takes tiles until none is left.
     fn work(&self, order: &[[u32; 2]], tile: u32, shared: &Shared<'_>, monitor: Monitor<'_>) {
-        let mut scratch = Scratch::new(self.depth);
-        let mut pixels = Vec::new();
+        let mut desk = Desk::new(self.depth);
         while !shared.stop.load(Ordering::Relaxed) && !monitor.stopped() {
             let Some(&[i, j]) = order.get(shared.next.fetch_add(1, Ordering::Relaxed)) else { return };
             let (x0, y0) = (i * tile, j * tile);
             let (x1, y1) = (x0.saturating_add(tile).min(self.width), y0.saturating_add(tile).min(self.height));
-            scratch.rays = RayCounts::default();
-            let done = self.tile([x0, y0, x1, y1], &mut pixels, &mut scratch, shared, monitor);
+            desk.wave.counts = RayCounts::default();
+            let stopped = || monitor.stopped() || shared.stop.load(Ordering::Relaxed);
+            let done = self.tile([x0, y0, x1, y1], &mut desk, &stopped);
             let done = self.world.fault().and(done);
             let mut state = shared.state.lock().unwrap_or_else(|poison| poison.into_inner());
             match done {
                 Ok(false) => return,
                 Ok(true) => {
-                    let rows = pixels.chunks((x1 - x0) as usize);
+                    let rows = desk.pixels.chunks((x1 - x0) as usize);
                     rows.zip(y0..).for_each(|(row, y)| state.film.put(x0, y, row));
-                    state.statistics.rays += scratch.rays;
+                    state.statistics.rays += desk.wave.counts;
                     state.statistics.tiles += 1;
                     monitor.progress(state.statistics.tiles, Some(order.len() as u64), "tiles");
                 }
@@ -174,35 +178,86 @@ impl<'w> Job<'w> {
     }
 
     /// The pixels of one tile, rows from the top; false if it was broken off.
-    fn tile(
-        &self,
-        [x0, y0, x1, y1]: [u32; 4],
-        pixels: &mut Vec<[f32; 3]>,
-        scratch: &mut Scratch,
-        shared: &Shared<'_>,
-        monitor: Monitor<'_>,
-    ) -> Result<bool> {
-        pixels.clear();
-        for y in y0..y1 {
-            if monitor.stopped() || shared.stop.load(Ordering::Relaxed) {
-                return Ok(false);
-            }
-            for x in x0..x1 {
-                pixels.push(self.pixel(self.corner[0] + x, self.corner[1] + y, scratch)?);
+    fn tile(&self, [x0, y0, x1, y1]: [u32; 4], desk: &mut Desk, stopped: &dyn Fn() -> bool) -> Result<bool> {
+        let (width, height) = (x1 - x0, y1 - y0);
+        let count = self.k * self.k;
+        desk.sums.clear();
+        desk.sums.resize((width * height) as usize, DVec3::ZERO);
+        desk.clear();
+        for [left, top] in blocks(width, height) {
+            for code in 0..BLOCK * BLOCK {
+                let [x, y] = [left + every_other(code), top + every_other(code >> 1)];
+                if x >= width || y >= height {
+                    continue;
+                }
+                for s in 0..count {
+                    desk.wave.add(self.ray(self.corner[0] + x0 + x, self.corner[1] + y0 + y, s));
+                    desk.places.push(y * width + x);
+                    if desk.places.len() == WAVE && !desk.follow(self.world, stopped)? {
+                        return Ok(false);
+                    }
+                }
             }
         }
+        if !desk.follow(self.world, stopped)? {
+            return Ok(false);
+        }
+        desk.pixels.clear();
+        desk.pixels.extend(desk.sums.iter().map(|&sum| (sum / f64::from(count)).as_vec3().to_array()));
         Ok(true)
     }
 
-    /// The pixel in column x and row y from the top of the whole picture.
-    fn pixel(&self, x: u32, y: u32, scratch: &mut Scratch) -> Result<[f32; 3]> {
-        let row = self.rows - 1 - y;
-        let mut sum = DVec3::ZERO;
-        for s in 0..self.k * self.k {
-            let [u, v] = sampling::position(s, self.k);
-            let ray = self.eye.ray(f64::from(x) + u, f64::from(row) + v);
-            sum += self.world.color(ray, scratch)?;
-        }
-        Ok((sum / f64::from(self.k * self.k)).as_vec3().to_array())
+    /// The ray of sample `s` of the pixel in column x and row y from the top of the whole picture.
+    fn ray(&self, x: u32, y: u32, s: u32) -> WorldRay {
+        let [u, v] = sampling::position(s, self.k);
+        self.eye.ray(f64::from(x) + u, f64::from(self.rows - 1 - y) + v)
     }
+}
+
+/// What one thread works with.
+struct Desk {
+    wave: Wave,
+    /// The pixel of each sample of the wave.
+    places: Vec<u32>,
+    /// The sums of each pixel's samples.
+    sums: Vec<DVec3>,
+    pixels: Vec<[f32; 3]>,
+}
+
+impl Desk {
+    fn new(depth: u32) -> Desk {
+        Desk { wave: Wave::new(depth), places: Vec::new(), sums: Vec::new(), pixels: Vec::new() }
+    }
+
+    /// Begins another wave.
+    fn clear(&mut self) {
+        self.wave.clear();
+        self.places.clear();
+    }
+
+    /// Follows the wave to its end, adds what it has gathered, and begins another; false if it was broken off.
+    fn follow(&mut self, world: &World, stopped: &dyn Fn() -> bool) -> Result<bool> {
+        while world.follow(&mut self.wave)? {
+            if stopped() {
+                return Ok(false);
+            }
+        }
+        // A pixel's samples come in their own order, so that its sum is the same whatever the waves.
+        for (&place, &color) in self.places.iter().zip(self.wave.colors()) {
+            self.sums[place as usize] += color;
+        }
+        self.clear();
+        Ok(true)
+    }
+}
+
+/// The top-left corners of the blocks of a rectangle.
+fn blocks(width: u32, height: u32) -> impl Iterator<Item = [u32; 2]> {
+    let rows = (0..height).step_by(BLOCK as usize);
+    rows.flat_map(move |y| (0..width).step_by(BLOCK as usize).map(move |x| [x, y]))
+}
+
+/// Bits 0, 2 and 4.
+fn every_other(code: u32) -> u32 {
+    code & 1 | code >> 1 & 2 | code >> 2 & 4
 }

@@ -48,34 +48,76 @@ pub(super) struct Path {
 pub(super) enum Departure {
     /// From this origin.
     Free(Origin),
-    /// Not at all: this is met at once, by this segment (traced from the far side of it).
-    Blocked(Contact, WorldRay),
+    /// Not at all: something is met at once.
+    Blocked(Box<Blocker>),
     /// Not at all: no f32 point lies there.
     Nowhere,
+}
+
+/// What a ray meets at once: it, and the segment that met it, traced from the far side of it.
+#[derive(Clone, Debug)]
+pub(super) struct Blocker {
+    pub contact: Contact,
+    pub segment: WorldRay,
+}
+
+/// One side of a surface.
+pub(super) struct Side<'s> {
+    spot: &'s Spot,
+    /// Unit geometric normal on this side.
+    normal: DVec3,
+    /// Whether this is the front.
+    front: bool,
+}
+
+impl Spot {
+    /// The side that is seen (`near`), or the other.
+    pub(super) fn side(&self, near: bool) -> Side<'_> {
+        Side { spot: self, normal: if near { self.normal } else { -self.normal }, front: self.front == near }
+    }
 }
 
 impl World {
     /// An origin on the side of `spot` that is seen (`near`) or on the other; `path` leads from the spot into the free space of
     /// that side, along the ray that met it.
+    pub(super) fn leave(&self, spot: &Spot, near: bool, path: Path) -> Result<Departure> {
+        let side = spot.side(near);
+        let Some((origin, segment)) = self.first_origin(&side, path) else { return Ok(Departure::Nowhere) };
+        match self.any(&segment, spot.omit)? {
+            false => Ok(Departure::Free(origin)),
+            true => self.leave_past(&side, origin, path),
+        }
+    }
+
+    /// The origin that is tried first, and the segment on which nothing may lie; `None` if there is no f32 point.
     ///
     /// The shift leans from the normal toward the path: along the normal alone an origin beside an edge would stay in the
     /// plane of a neighbour at a right angle.
-    pub(super) fn leave(&self, spot: &Spot, near: bool, path: Path) -> Result<Departure> {
-        let side = if near { *spot } else { spot.turned() };
-        let Some(origin) = self.beside(&side, side.normal + path.direction, 1.0) else { return Ok(Departure::Nowhere) };
-        let Some((contact, segment)) = self.between(&side, &origin, path)? else { return Ok(Departure::Free(origin)) };
+    #[inline]
+    pub(super) fn first_origin(&self, side: &Side<'_>, path: Path) -> Option<(Origin, WorldRay)> {
+        let origin = self.beside(side, side.normal + path.direction, 1.0)?;
+        let (segment, _) = segment(side, &origin, path);
+        Some((origin, segment))
+    }
+
+    /// The departure where something lies on the segment of the origin tried first.
+    #[cold]
+    pub(super) fn leave_past(&self, side: &Side<'_>, first: Origin, path: Path) -> Result<Departure> {
+        let Some(blocker) = self.blocker(side, &first, path)? else { return Ok(Departure::Free(first)) };
         for times in ALONG_PATH {
-            if let Some(origin) = self.beside(&side, path.direction, times)
-                && self.between(&side, &origin, path)?.is_none()
+            if let Some(origin) = self.beside(side, path.direction, times)
+                && self.blocker(side, &origin, path)?.is_none()
             {
                 return Ok(Departure::Free(origin));
             }
         }
-        Ok(Departure::Blocked(contact, segment))
+        Ok(Departure::Blocked(Box::new(blocker)))
     }
 
-    /// A point certified to lie strictly on the side that `spot` shows, from its point along `along` (world space).
-    fn beside(&self, spot: &Spot, along: DVec3, times: f64) -> Option<Origin> {
+    /// A point certified to lie strictly on the side that is left, from the spot's point along `along` (world space).
+    #[inline]
+    fn beside(&self, side: &Side<'_>, along: DVec3, times: f64) -> Option<Origin> {
+        let Side { spot, front, .. } = *side;
         let object = spot.omit.object;
         let free = |world| Origin { world, start: Start { object, point: world.as_vec3() } };
         let along = along.try_normalize()?;
@@ -87,7 +129,7 @@ impl World {
                 };
                 let along = placed.and_then(|p| p.to_local).map_or(along, |m| m.transform_vector3(along));
                 let along = along.try_normalize()?;
-                let certified = |o| strictly_on(triangle, o, spot.front);
+                let certified = |o| strictly_on(triangle, o, front);
                 let o = step_off(*point, along, triangle_bound(triangle, *point), times, certified)?;
                 let world = placed.map_or(o.as_dvec3(), |p| p.to_world.transform_point3(o.as_dvec3()));
                 Some(Origin { world, start: Start { object, point: o } })
@@ -99,7 +141,7 @@ impl World {
                         Kind::Flat(flat) => flat.side(o.as_dvec3()),
                         _ => 0.0,
                     };
-                    if spot.front { side > 0.0 } else { side < 0.0 }
+                    if front { side > 0.0 } else { side < 0.0 }
                 };
                 step_off(spot.point, along, point_bound(spot.point), times, certified).map(|o| free(o.as_dvec3()))
             }
@@ -107,28 +149,16 @@ impl World {
     }
 
     /// The surface nearest to the spot that lies between it and `origin`, and the segment that found it.
-    fn between(&self, spot: &Spot, origin: &Origin, path: Path) -> Result<Option<(Contact, WorldRay)>> {
-        let distance = (spot.point - origin.world).length();
-        let up = match path.reach {
-            Some(reach) => (distance * UP_THE_PATH[0]).min(reach / 2.0),
-            None => distance * UP_THE_PATH[1],
-        };
-        let target = spot.point + path.direction * up;
-        let back = target - origin.world;
-        let scale = if back.abs().max_element() < SHORT { (1u64 << 60) as f64 } else { 1.0 };
-        let end = 1.0 / scale;
-        let mut segment = WorldRay::from(origin, back * scale, ((1.0 + END) * end) as f32);
-        if !self.any(&segment, spot.omit)? {
-            return Ok(None);
-        }
-        let (whole, mut blocker) = (segment, None);
+    fn blocker(&self, side: &Side<'_>, origin: &Origin, path: Path) -> Result<Option<Blocker>> {
+        let (whole, end) = segment(side, origin, path);
+        let (mut left, mut blocker) = (whole, None);
         for _ in 0..MOST_SHEETS {
-            let Some(contact) = self.closest(&segment, spot.omit)? else { break };
+            let Some(contact) = self.closest(&left, side.spot.omit)? else { break };
             let at_end = f64::from(contact.t) >= (1.0 - END) * end;
-            if !at_end || self.separates(&contact, &whole, spot.point, path.direction)? {
-                blocker = Some((contact, whole));
+            if !at_end || self.separates(&contact, &whole, side.spot.point, path.direction)? {
+                blocker = Some(Blocker { contact, segment: whole });
             }
-            segment.tmin = contact.t.next_up();
+            left.tmin = contact.t.next_up();
         }
         Ok(blocker)
     }
@@ -146,4 +176,20 @@ impl World {
         };
         Ok(normal.dot(a) * normal.dot(b) < 0.0)
     }
+}
+
+/// The segment from `origin` back to the spot and a little way up the path, and its parameter there.
+#[inline]
+fn segment(side: &Side<'_>, origin: &Origin, path: Path) -> (WorldRay, f64) {
+    let point = side.spot.point;
+    let distance = (point - origin.world).length();
+    let up = match path.reach {
+        Some(reach) => (distance * UP_THE_PATH[0]).min(reach / 2.0),
+        None => distance * UP_THE_PATH[1],
+    };
+    let target = point + path.direction * up;
+    let back = target - origin.world;
+    let scale = if back.abs().max_element() < SHORT { (1u64 << 60) as f64 } else { 1.0 };
+    let end = 1.0 / scale;
+    (WorldRay::from(origin, back * scale, ((1.0 + END) * end) as f32), end)
 }

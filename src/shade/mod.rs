@@ -1,8 +1,8 @@
 //! What a ray sees: Blinn-Phong surfaces, hard shadows, mirrors and glass over meshes and simple shapes.
 //!
 //! A [`World`] is a [`Scene`](crate::scene::Scene) made ready: every mesh has its tracer, every shape its inverse
-//! transform, many things have a small tree over them. [`World::color`] follows one ray and what it gives rise to
-//! (Whitted 1980), with a stack of its own, so that any number of bounces fits.
+//! transform, many things have a small tree over them. [`World::follow`] follows many rays together and what they give rise to
+//! (Whitted 1980), each with a stack of its own, so that any number of bounces fits.
 //!
 //! The colour of a hit with unit normal n, direction v to the eye, l_j to light j and h_j halfway between them is
 //! `local * (ambient * amb + sum_j I_j V_j (max(n.l_j, 0) diff + max(n.h_j, 0)^shininess spec)) + reflect R + transmit T`.
@@ -19,6 +19,7 @@
 //! Nothing here shifts a ray by an epsilon: see `origin` for where secondary rays start, `heading` for how their directions are rounded. Soft shadows, glossy
 //! reflection and attenuation are not modelled.
 
+mod batch;
 #[cfg(test)]
 mod double;
 #[cfg(test)]
@@ -38,6 +39,9 @@ mod spot;
 mod tests;
 mod texture;
 mod tree;
+mod wave;
+#[cfg(test)]
+mod wave_tests;
 mod whitted;
 mod world;
 
@@ -46,5 +50,6 @@ pub use object::Contact;
 pub use path::{Bounce, MirrorPath};
 pub use ray::{Omit, WorldRay};
 pub use texture::Texture;
-pub use whitted::{RayCounts, Scratch};
+pub use wave::Wave;
+pub use whitted::RayCounts;
 pub use world::{Mesh, World};

@@ -73,6 +73,13 @@ pub(super) enum Part {
     Smooth(f64),
 }
 
+impl Contact {
+    /// Whether this comes before `other`: by t, then by the objects' order in the scene.
+    pub(super) fn before(&self, other: &Contact) -> bool {
+        self.t < other.t || (self.t == other.t && self.object < other.object)
+    }
+}
+
 impl Object {
     /// A shape of the scene.
     pub fn of_shape(shape: &scene::Shape) -> Object {
@@ -246,6 +253,7 @@ impl Facets {
 }
 
 /// Whether `point` lies strictly on the front of the triangle (counter-clockwise seen from there) or strictly behind it.
+#[inline]
 pub(super) fn strictly_on(triangle: &Triangle, point: Vec3, front: bool) -> bool {
     exact::side(triangle, point.to_array()) == if front { Ordering::Greater } else { Ordering::Less }
 }

@@ -30,6 +30,7 @@ const U: f64 = 1.0 / 16_777_216.0;
 const MOST_STEPS: u32 = 300;
 
 /// The error bound of a hit point p on a triangle, a component (step 2 of the module's text).
+#[inline]
 pub(super) fn triangle_bound(triangle: &Triangle, p: DVec3) -> DVec3 {
     let [a, b, c] = triangle.vertices().map(|v| v.as_dvec3());
     let extent = a.max(b).max(c) - a.min(b).min(c);
@@ -44,6 +45,7 @@ pub(super) fn point_bound(p: DVec3) -> DVec3 {
 /// Moves p along the unit vector `along` by at least `times` its error bound and onward until `certified` agrees.
 ///
 /// `None` if no f32 point will do (the surface lies at the end of f32's range, or `along` is not finite).
+#[inline]
 pub(super) fn step_off(
     p: DVec3,
     along: DVec3,
@@ -66,22 +68,22 @@ pub(super) fn step_off(
 }
 
 /// `q` rounded to f32, each component in the direction in which it was moved from `p`.
+#[inline]
 fn away(p: DVec3, q: DVec3) -> Vec3 {
+    // Chosen without a branch: which way a number was rounded, nobody can foresee.
     let component = |p: f64, q: f64| {
         let r = q as f32;
-        if q > p && f64::from(r) < q {
-            r.next_up()
-        } else if q < p && f64::from(r) > q {
-            r.next_down()
-        } else {
-            r
-        }
+        let below = (q > p) & (f64::from(r) < q);
+        let above = (q < p) & (f64::from(r) > q);
+        let outward = if below { r.next_up() } else { r.next_down() };
+        if below | above { outward } else { r }
     };
     Vec3::new(component(p.x, q.x), component(p.y, q.y), component(p.z, q.z))
 }
 
 /// Barycentric weights (of b and c) of the point where the line through `origin` along `direction` meets the triangle,
 /// in f64, clamped into the closed triangle. `hint` stands in where the line lies in the triangle's plane.
+#[inline]
 pub(super) fn barycentrics(triangle: &Triangle, origin: DVec3, direction: DVec3, hint: [f64; 2]) -> [f64; 2] {
     let [a, b, c] = triangle.vertices().map(|v| v.as_dvec3() - origin);
     let scale = a.abs().max(b.abs()).max(c.abs()).max_element();
@@ -108,6 +110,7 @@ pub(super) fn point_of(triangle: &Triangle, [u, v]: [f64; 2]) -> DVec3 {
 }
 
 /// The unit normal by the winding, in f64 (scaled first, so that no size of triangle underflows or overflows).
+#[inline]
 pub(super) fn normal_of(triangle: &Triangle) -> DVec3 {
     let [a, b, c] = triangle.vertices().map(|v| v.as_dvec3());
     let (e, f) = (b - a, c - a);

@@ -40,6 +40,6 @@ impl MirrorPath<'_> {
         let direction = self.world.away(&meeting.spot, true, mirror(&meeting.spot, meeting.incoming));
         let Some(ahead) = departure.along(direction) else { return Ok(None) };
         self.ahead = ahead;
-        Ok(Some(if ahead.is_free() { Bounce::Free(ahead.ray) } else { Bounce::Wedged }))
+        Ok(Some(if self.ahead.is_free() { Bounce::Free(self.ahead.ray) } else { Bounce::Wedged }))
     }
 }

@@ -42,6 +42,7 @@ impl Omit {
 
 impl WorldRay {
     /// A ray over `t >= 0` from a free point; origin and direction are rounded to f32, once.
+    #[inline]
     pub fn new(origin: DVec3, direction: DVec3) -> WorldRay {
         let start = Start { object: NOBODY, point: Vec3::ZERO };
         WorldRay { origin: rounded(origin), direction: rounded(direction), tmin: 0.0, tmax: f32::INFINITY, start }
@@ -69,6 +70,7 @@ impl WorldRay {
 
     /// The ray as `object` sees it, up to `tmax`: transformed in f64, rounded once; the direction keeps its length's
     /// meaning, so that t is the same number everywhere.
+    #[inline(always)]
     pub(super) fn seen_by(&self, object: u32, to_local: Option<&DAffine3>, tmax: f32) -> Ray {
         let (origin, direction) = match to_local {
             None => (self.origin.as_vec3(), self.direction.as_vec3()),

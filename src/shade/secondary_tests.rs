@@ -9,7 +9,7 @@ use super::object::{Contact, Part, strictly_on};
 use super::path::Bounce;
 use super::ray::{Omit, WorldRay};
 use super::tests::{MIRROR, world};
-use super::whitted::Scratch;
+use super::wave::Wave;
 use super::world::World;
 use crate::exact::{exactly_degenerate, side};
 use crate::geometry::Triangle;
@@ -121,7 +121,7 @@ proptest! {
         if strictly_on(&met, light, true) && cosine > 0.0 {
             world.scene.lights = vec![point_light(light)];
             world.surfaces = vec![(&matte()).into()];
-            let color = world.color(ray, &mut Scratch::new(0)).unwrap();
+            let color = world.color(ray, &mut Wave::new(0)).unwrap();
             prop_assert!(color.x > 0.0, "dark at {cosine:e}: {ray:?} {light:?}");
         }
     }
@@ -151,7 +151,7 @@ proptest! {
             world.scene.lights = vec![point_light(lamp)];
             let eye = place([x * 0.9, 0.25, z * 0.9]).as_dvec3();
             let ray = WorldRay::new(eye, place([x, 0.0, z]).as_dvec3() - eye);
-            world.color(ray, &mut Scratch::new(0)).unwrap() != Color::ZERO
+            world.color(ray, &mut Wave::new(0)).unwrap() != Color::ZERO
         };
         prop_assert!(lit(height), "through the light");
         prop_assert!(lit(height.next_up()), "a step behind");
@@ -182,15 +182,15 @@ proptest! {
         let from = DVec3::new(f64::from(x), if below { -3.0 } else { 6.0 }, f64::from(z)) * f64::from(scale);
         let ray = WorldRay::new(from, DVec3::new(f64::from(slant), if below { 4.0 } else { -4.0 }, 0.1));
         let through = world(sheets.clone(), DAffine3::IDENTITY, Vec::new(), glass);
-        let mut scratch = Scratch::new(100);
-        through.color(ray, &mut scratch).unwrap();
-        prop_assert_eq!(scratch.rays.refracted, 4);
+        let mut wave = Wave::new(100);
+        through.color(ray, &mut wave).unwrap();
+        prop_assert_eq!(wave.counts.refracted, 4);
         let mirrors = world(sheets.clone(), DAffine3::IDENTITY, Vec::new(), MIRROR);
         prop_assert_eq!(follow(&mirrors, ray, 100, |_| {}), 1);
         let mut lit = world(sheets, DAffine3::IDENTITY, Vec::new(), matte());
         for (light, reaches) in [(from + DVec3::X * f64::from(scale), true), (from * DVec3::new(1.0, -1.0, 1.0), false)] {
             lit.scene.lights = vec![Light::Point { position: light, color: Color::ONE }];
-            prop_assert_eq!(lit.color(ray, &mut Scratch::new(0)).unwrap() != Color::ZERO, reaches);
+            prop_assert_eq!(lit.color(ray, &mut Wave::new(0)).unwrap() != Color::ZERO, reaches);
         }
     }
 }
@@ -274,7 +274,7 @@ fn a_light_in_the_plane_or_at_the_point_itself_gives_nothing() {
         let ray = WorldRay::new(at.as_dvec3() + DVec3::Y * f64::from(scale), DVec3::NEG_Y);
         for light in [at, corner(0.5, 0.5), corner(-9.0, -9.0), corner(100.0, 3.0)] {
             world.scene.lights = vec![point_light(light)];
-            assert_eq!(world.color(ray, &mut Scratch::new(0)).unwrap(), Color::ZERO, "{light} at scale {scale}");
+            assert_eq!(world.color(ray, &mut Wave::new(0)).unwrap(), Color::ZERO, "{light} at scale {scale}");
         }
     }
 }

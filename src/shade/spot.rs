@@ -47,6 +47,7 @@ impl Spot {
     }
 
     /// Turned so that the front is seen or not.
+    #[inline]
     fn seen(self, front: bool) -> Spot {
         if front { self } else { self.turned() }
     }
@@ -54,6 +55,7 @@ impl Spot {
 
 impl World {
     /// What `ray` sees where it met `contact`.
+    #[inline]
     pub(super) fn spot(&self, contact: &Contact, ray: &WorldRay) -> Result<Spot> {
         let object = &self.objects[contact.object as usize];
         let surface = self.surfaces[object.material];
@@ -76,6 +78,7 @@ impl World {
     }
 
     /// A place on a mesh, with what its attributes say.
+    #[inline]
     fn on_mesh(&self, object: u32, placed: &Placed, found: &Found, ray: &WorldRay, surface: Surface) -> Result<Spot> {
         let place = Place::of(object, &found.triangle, found.hit.face, [found.hit.u, found.hit.v]);
         let (mut spot, [u, v]) = place.spot(Some(placed), ray, surface);
@@ -128,6 +131,7 @@ impl<'a> Place<'a> {
     }
 
     /// The spot and the weights of the second and third corner.
+    #[inline]
     fn spot(&self, placed: Option<&Placed>, ray: &WorldRay, surface: Surface) -> (Spot, [f64; 2]) {
         let to_local = placed.and_then(|p| p.to_local.as_ref());
         let local = ray.seen_by(self.object, to_local, ray.tmax);

@@ -9,7 +9,7 @@ use super::double::{Brute, cube};
 use super::object::strictly_on;
 use super::origin::{normal_of, point_of, step_off, triangle_bound};
 use super::ray::{Omit, WorldRay};
-use super::whitted::Scratch;
+use super::wave::Wave;
 use super::world::{Mesh, World};
 use crate::geometry::Triangle;
 use crate::scene::{Color, Geometry, Instance, Light, Material, MeshFile, Scene, Shape};
@@ -51,12 +51,12 @@ fn directions(count: u32) -> impl Iterator<Item = DVec3> {
 
 /// Paths of `depth` bounces in a closed box of mirrors whose end was not the last bounce's background but an escape.
 fn escapes(world: &World, center: DVec3, paths: u32, depth: u32) -> u64 {
-    let mut scratch = Scratch::new(depth);
+    let mut wave = Wave::new(depth);
     let mut escaped = 0;
     for direction in directions(paths) {
-        let before = scratch.rays.mirror;
-        world.color(WorldRay::new(center, direction), &mut scratch).unwrap();
-        escaped += u64::from(scratch.rays.mirror - before != u64::from(depth));
+        let before = wave.counts.mirror;
+        world.color(WorldRay::new(center, direction), &mut wave).unwrap();
+        escaped += u64::from(wave.counts.mirror - before != u64::from(depth));
     }
     escaped
 }
@@ -80,12 +80,12 @@ fn nothing_escapes_a_wedge_sharper_than_any_offset() {
     // A long thin prism: mirrors that meet at about 1e-4 radians; rays run deep into the crease.
     let squeeze = |p: Vec3| Vec3::new(p.x, if p.x > 0.0 { p.y * 1e-4 } else { p.y * 1e-7 }, p.z);
     let prism = world(cube(squeeze), DAffine3::IDENTITY, Vec::new(), MIRROR);
-    let mut scratch = Scratch::new(300);
+    let mut wave = Wave::new(300);
     for i in 0..200 {
         let aim = DVec3::new(-1.0, 1e-4 * f64::from(i) / 200.0, 0.3 - 0.003 * f64::from(i));
-        let before = scratch.rays.mirror;
-        prism.color(WorldRay::new(DVec3::new(0.5, 0.0, 0.0), aim), &mut scratch).unwrap();
-        assert_eq!(scratch.rays.mirror - before, 300, "ray {i}");
+        let before = wave.counts.mirror;
+        prism.color(WorldRay::new(DVec3::new(0.5, 0.0, 0.0), aim), &mut wave).unwrap();
+        assert_eq!(wave.counts.mirror - before, 300, "ray {i}");
     }
 }
 
@@ -133,7 +133,7 @@ fn a_blocker_just_before_the_light_and_a_light_just_before_a_blocker() {
         let mut world = world(sheet(y), DAffine3::IDENTITY, vec![floor], matte);
         world.scene.lights = vec![Light::Point { position: DVec3::new(0.0, 2.0, 0.0), color: Color::ONE }];
         let ray = WorldRay::new(DVec3::new(0.2, 1.0, 0.1), DVec3::new(-0.1, -1.0, -0.2));
-        world.color(ray, &mut Scratch::new(0)).unwrap() != Color::ZERO
+        world.color(ray, &mut Wave::new(0)).unwrap() != Color::ZERO
     };
     assert!(!lit(2.0f32.next_down()), "one ulp before the light");
     assert!(!lit(2.0 * 0.99995));
@@ -151,7 +151,7 @@ fn the_corner_of_a_room_has_no_dark_specks() {
         let x = f64::from(i) / 8.0;
         for aim in [DVec3::new(x, -1.0, -1.0), DVec3::new(x, -1.0, x), DVec3::new(1.0, x, 1.0), DVec3::new(1.0, -x, x)]
         {
-            let color = room.color(WorldRay::new(DVec3::ZERO, aim), &mut Scratch::new(0)).unwrap();
+            let color = room.color(WorldRay::new(DVec3::ZERO, aim), &mut Wave::new(0)).unwrap();
             assert!(color.x > 0.0, "towards {aim}");
         }
     }
@@ -168,7 +168,7 @@ fn sheets_one_ulp_apart_keep_their_order() {
         world.scene.lights = vec![Light::Point { position: DVec3::new(0.0, 5.0, 0.0), color: Color::ONE }];
         let seen = |from: f64| {
             let ray = WorldRay::new(DVec3::new(0.3, from, 0.1), DVec3::new(0.0, 1.0 - from, 0.0));
-            world.color(ray, &mut Scratch::new(0)).unwrap().x
+            world.color(ray, &mut Wave::new(0)).unwrap().x
         };
         assert!(seen(3.0) > 0.0);
         assert_eq!(seen(-3.0), 0.0);
@@ -210,7 +210,7 @@ fn the_tree_over_objects_changes_nothing() {
         let [a, b] = [&tree, &list].map(|w| w.closest(&ray, Omit::NOTHING).unwrap().map(|c| (c.object, c.t.to_bits())));
         assert_eq!(a, b);
         assert_eq!(tree.any(&ray, Omit::NOTHING).unwrap(), a.is_some());
-        let [a, b] = [&tree, &list].map(|w| w.color(ray, &mut Scratch::new(5)).unwrap());
+        let [a, b] = [&tree, &list].map(|w| w.color(ray, &mut Wave::new(5)).unwrap());
         assert_eq!(a, b);
         met += u32::from(a != Color::ZERO);
     }

@@ -1,21 +1,20 @@
-//! The colour of a ray, and of the rays it gives rise to (Whitted, "An improved illumination model for shaded display",
-//! 1980), with an explicit stack.
+//! The light at one surface: what a ray meets, what a lamp gives there, where a ray is mirrored and refracted to. `wave` follows
+//! the rays.
 
 use glam::DVec3;
 
-use super::leave::{Departure, Path};
+use super::leave::{Blocker, Departure, Path};
 use super::object::Contact;
 use super::ray::{Omit, Origin, WorldRay};
 use super::spot::Spot;
 use super::world::World;
 use crate::error::Result;
-use crate::geometry::FaceId;
 use crate::scene::{Color, Light};
 
 /// A ray whose colour counts less than this (2^-20, in every channel) is not traced.
-const LEAST_WEIGHT: f64 = 1.0 / 1_048_576.0;
+pub(super) const LEAST_WEIGHT: f64 = 1.0 / 1_048_576.0;
 /// The end of a shadow ray, where the rounding of its direction hides on which side of the light a surface lies: 1 +- 2^-20.
-const AT_LIGHT: [f32; 2] = [1.0 - 8.0 * f32::EPSILON, 1.0 + 8.0 * f32::EPSILON];
+pub(super) const AT_LIGHT: [f32; 2] = [1.0 - 8.0 * f32::EPSILON, 1.0 + 8.0 * f32::EPSILON];
 
 /// Rays by what they are for.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -39,29 +38,12 @@ impl std::ops::AddAssign for RayCounts {
     }
 }
 
-/// Working space of one thread, and what it has counted.
-#[derive(Debug)]
-pub struct Scratch {
-    stack: Vec<Pending>,
-    /// Most bounces.
-    depth: u32,
-    /// Rays traced.
-    pub rays: RayCounts,
-}
-
-impl Scratch {
-    /// For rays of at most `depth` bounces.
-    pub fn new(depth: u32) -> Scratch {
-        Scratch { stack: Vec::new(), depth, rays: RayCounts::default() }
-    }
-}
-
 /// A ray that is to be followed.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Ahead {
     pub ray: WorldRay,
-    /// What the ray is known to meet at once, and the segment that met it from behind.
-    blocker: Option<(Contact, WorldRay)>,
+    /// What it is known to meet at once.
+    pub blocker: Option<Box<Blocker>>,
 }
 
 /// Where a ray met a surface, and how.
@@ -96,162 +78,66 @@ impl Ahead {
     }
 }
 
-/// A ray that is still to be followed, and what its colour counts.
-#[derive(Debug)]
-struct Pending {
-    ahead: Ahead,
-    weight: Color,
-    bounces: u32,
-}
-
 impl World {
-    /// The colour along a ray from the eye, linear.
-    pub fn color(&self, ray: WorldRay, scratch: &mut Scratch) -> Result<Color> {
-        scratch.rays.primary += 1;
-        scratch.stack.clear();
-        scratch.stack.push(Pending { ahead: Ahead::free(ray), weight: Color::ONE, bounces: 0 });
-        let mut sum = Color::ZERO;
-        while let Some(pending) = scratch.stack.pop() {
-            sum += match self.meet(&pending.ahead)? {
-                None => pending.weight * self.scene.background,
-                Some(meeting) => self.shade(&meeting, &pending, scratch)?,
-            };
-        }
-        Ok(sum)
-    }
-
     /// What a ray meets.
     pub(super) fn meet(&self, ahead: &Ahead) -> Result<Option<Meeting>> {
-        let along = |ray: &WorldRay| ray.direction.normalize_or_zero();
-        let Some((contact, segment)) = &ahead.blocker else {
-            let Some(contact) = self.closest(&ahead.ray, Omit::NOTHING)? else { return Ok(None) };
-            let spot = self.spot(&contact, &ahead.ray)?;
-            let reach = (spot.point - ahead.ray.origin).length();
-            return Ok(Some(Meeting { spot, incoming: along(&ahead.ray), reach }));
-        };
+        if let Some(blocker) = &ahead.blocker {
+            return self.meet_blocker(&ahead.ray, blocker).map(Some);
+        }
+        let contact = self.closest(&ahead.ray, Omit::NOTHING)?;
+        contact.map(|contact| self.meet_contact(&ahead.ray, &contact)).transpose()
+    }
+
+    /// Where a ray met what it did.
+    #[inline]
+    pub(super) fn meet_contact(&self, ray: &WorldRay, contact: &Contact) -> Result<Meeting> {
+        let spot = self.spot(contact, ray)?;
+        let reach = (spot.point - ray.origin).length();
+        Ok(Meeting { spot, incoming: ray.direction.normalize_or_zero(), reach })
+    }
+
+    /// Where a ray meets what it is known to meet at once.
+    pub(super) fn meet_blocker(&self, ray: &WorldRay, blocker: &Blocker) -> Result<Meeting> {
+        let Blocker { contact, segment } = blocker;
         // The segment came from the far side of the blocker, so that its rest lies on this side.
         let spot = self.spot(contact, segment)?.turned();
-        let incoming = along(&ahead.ray);
-        let incoming = if incoming.dot(spot.normal) < 0.0 { incoming } else { -along(segment) };
+        let incoming = ray.direction.normalize_or_zero();
+        let against = -segment.direction.normalize_or_zero();
+        let incoming = if incoming.dot(spot.normal) < 0.0 { incoming } else { against };
         let reach = f64::from(segment.tmax - contact.t).max(0.0) * segment.direction.length();
-        Ok(Some(Meeting { spot, incoming, reach }))
+        Ok(Meeting { spot, incoming, reach })
     }
 
-    /// The light that leaves `spot` against `incoming`, weighted, but for the rays that it puts on the stack.
-    fn shade(&self, meeting: &Meeting, pending: &Pending, scratch: &mut Scratch) -> Result<Color> {
+    /// The diffuse and specular light that `light` gives if nothing lies between; zero for one behind the surface.
+    pub(super) fn lit(&self, meeting: &Meeting, light: &Light) -> Color {
         let &Meeting { ref spot, incoming, .. } = meeting;
         let surface = &spot.surface;
-        let mut near = None;
-        let mut color = Color::ZERO;
-        if surface.local != 0.0 {
-            color += self.local(meeting, &mut near, scratch)? * surface.local;
-        }
-        let refracted = if surface.transmit == 0.0 { None } else { refract(spot, incoming) };
-        let mut mirrored = surface.reflect;
-        match refracted {
-            Some(direction) => {
-                let weight = Color::splat(surface.transmit);
-                color += self.secondary(meeting, direction, weight, false, &mut None, pending, scratch)?;
-            }
-            // Total reflection: the transmitted part is mirrored too.
-            None => mirrored += Color::splat(surface.transmit),
-        }
-        if mirrored != Color::ZERO {
-            let direction = mirror(spot, incoming);
-            color += self.secondary(meeting, direction, mirrored, true, &mut near, pending, scratch)?;
-        }
-        Ok(pending.weight * color)
-    }
-
-    /// Ambient, diffuse and specular light.
-    fn local(&self, meeting: &Meeting, near: &mut Option<Departure>, scratch: &mut Scratch) -> Result<Color> {
-        let &Meeting { ref spot, incoming, .. } = meeting;
-        let surface = &spot.surface;
-        let mut color = self.scene.ambient * surface.ambient;
-        for light in &self.scene.lights {
-            let (to_light, intensity) = match *light {
-                Light::Point { position, color } => (position - spot.point, color),
-                Light::Sun { direction, color } => (-direction, color),
-            };
-            let l = to_light.normalize_or_zero();
-            let cosine = spot.shading.dot(l);
-            if cosine <= 0.0 || spot.normal.dot(l) <= 0.0 {
-                continue;
-            }
-            let mut lit = cosine * surface.diffuse;
-            if surface.specular != Color::ZERO {
-                let h = (l - incoming).normalize_or_zero();
-                lit += spot.shading.dot(h).max(0.0).powf(surface.shininess) * surface.specular;
-            }
-            let lit = lit * intensity;
-            if lit != Color::ZERO && self.reaches(meeting, light, near, scratch)? {
-                color += lit;
-            }
-        }
-        Ok(color)
-    }
-
-    /// Whether nothing stands between the spot and the light.
-    fn reaches(
-        &self,
-        meeting: &Meeting,
-        light: &Light,
-        near: &mut Option<Departure>,
-        scratch: &mut Scratch,
-    ) -> Result<bool> {
-        let Departure::Free(origin) = self.departure(meeting, true, near)? else { return Ok(false) };
-        // The light lies above the face, so the face itself is not in its way; a ball may be in its own.
-        let omit = if meeting.spot.omit.face == FaceId::NONE { Omit::NOTHING } else { meeting.spot.omit };
-        scratch.rays.shadow += 1;
-        match *light {
-            Light::Sun { direction, .. } => Ok(!self.any(&WorldRay::from(origin, -direction, f32::INFINITY), omit)?),
-            Light::Point { position, .. } => {
-                let ray = WorldRay::from(origin, position - origin.world, AT_LIGHT[0]);
-                if self.any(&ray, omit)? {
-                    return Ok(false);
-                }
-                let end = ray.between(AT_LIGHT[0], AT_LIGHT[1]);
-                Ok(!self.any(&end, omit)? || !self.all(&end, omit)?.iter().any(|c| self.before(c, &ray, position)))
-            }
-        }
-    }
-
-    /// Whether what a shadow ray meets near its end lies before the light; not if the light lies on it.
-    fn before(&self, contact: &Contact, ray: &WorldRay, light: DVec3) -> bool {
-        self.apart(contact, ray, light).unwrap_or(false)
-    }
-
-    /// Puts a mirrored (`near`) or refracted ray on the stack, or returns what it counts without being traced.
-    #[allow(clippy::too_many_arguments)]
-    fn secondary(
-        &self,
-        meeting: &Meeting,
-        direction: DVec3,
-        weight: Color,
-        near: bool,
-        departure: &mut Option<Departure>,
-        pending: &Pending,
-        scratch: &mut Scratch,
-    ) -> Result<Color> {
-        let total = pending.weight * weight;
-        if pending.bounces >= scratch.depth || total.abs().max_element() < LEAST_WEIGHT {
-            return Ok(weight * self.scene.background);
-        }
-        let direction = self.away(&meeting.spot, near, direction);
-        let Some(ahead) = self.departure(meeting, near, departure)?.along(direction) else {
-            return Ok(weight * self.scene.background);
+        let (to_light, intensity) = match *light {
+            Light::Point { position, color } => (position - spot.point, color),
+            Light::Sun { direction, color } => (-direction, color),
         };
-        *(if near { &mut scratch.rays.mirror } else { &mut scratch.rays.refracted }) += 1;
-        scratch.stack.push(Pending { ahead, weight: total, bounces: pending.bounces + 1 });
-        Ok(Color::ZERO)
+        let l = to_light.normalize_or_zero();
+        let cosine = spot.shading.dot(l);
+        if cosine <= 0.0 || spot.normal.dot(l) <= 0.0 {
+            return Color::ZERO;
+        }
+        let mut lit = cosine * surface.diffuse;
+        if surface.specular != Color::ZERO {
+            let h = (l - incoming).normalize_or_zero();
+            lit += spot.shading.dot(h).max(0.0).powf(surface.shininess) * surface.specular;
+        }
+        lit * intensity
     }
 
-    /// The departure from one side of a spot, found once.
-    fn departure<'d>(&self, meeting: &Meeting, near: bool, known: &'d mut Option<Departure>) -> Result<&'d Departure> {
-        if known.is_none() {
-            *known = Some(self.leave(&meeting.spot, near, meeting.path(near))?);
+    /// Whether nothing stands before a point light, where something stands at its very end or before.
+    #[cold]
+    pub(super) fn reaches_past(&self, ray: &WorldRay, omit: Omit, light: DVec3) -> Result<bool> {
+        if self.any(&ray.between(0.0, AT_LIGHT[0]), omit)? {
+            return Ok(false);
         }
-        Ok(known.as_ref().unwrap_or(&Departure::Nowhere))
+        // What lies near the end is in the way if it lies before the light; not if the light lies on it.
+        let end = ray.between(AT_LIGHT[0], AT_LIGHT[1]);
+        Ok(!self.all(&end, omit)?.iter().any(|contact| self.apart(contact, ray, light).unwrap_or(false)))
     }
 }
 
@@ -260,10 +146,10 @@ impl Departure {
     pub(super) fn along(&self, direction: DVec3) -> Option<Ahead> {
         match self {
             Departure::Free(origin) => Some(Ahead::free(WorldRay::from(origin, direction, f32::INFINITY))),
-            Departure::Blocked(contact, segment) => {
-                let origin = Origin { world: segment.origin, start: segment.start };
+            Departure::Blocked(blocker) => {
+                let origin = Origin { world: blocker.segment.origin, start: blocker.segment.start };
                 let ray = WorldRay::from(&origin, direction, f32::INFINITY);
-                Some(Ahead { ray, blocker: Some((*contact, *segment)) })
+                Some(Ahead { ray, blocker: Some(blocker.clone()) })
             }
             Departure::Nowhere => None,
         }
@@ -278,7 +164,7 @@ pub(super) fn mirror(spot: &Spot, incoming: DVec3) -> DVec3 {
 }
 
 /// The refracted direction by Snell's law, `None` at total reflection.
-fn refract(spot: &Spot, incoming: DVec3) -> Option<DVec3> {
+pub(super) fn refract(spot: &Spot, incoming: DVec3) -> Option<DVec3> {
     let ior = spot.surface.ior;
     let eta = if spot.front { 1.0 / ior } else { ior };
     let about = |n: DVec3| {
@@ -295,6 +181,7 @@ fn refract(spot: &Spot, incoming: DVec3) -> Option<DVec3> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::geometry::FaceId;
     use crate::shade::Surface;
     use crate::shade::spot::Anchor;
 

@@ -35,7 +35,7 @@ pub struct World {
     /// The scene's materials as surfaces.
     pub(super) surfaces: Vec<Surface>,
     /// Objects that every ray asks, in order.
-    always: Vec<u32>,
+    pub(super) always: Vec<u32>,
     /// Over the rest.
     tree: Option<Tree>,
     /// Around all that has been placed, planes left out.
@@ -135,25 +135,31 @@ impl World {
 
     /// What the ray meets first: least t, then the object that comes first in the scene.
     pub fn closest(&self, ray: &WorldRay, omit: Omit) -> Result<Option<Contact>> {
-        let mut best: Option<Contact> = None;
-        let mut ask = |object: u32| -> Result<f32> {
-            let tmax = best.map_or(ray.tmax, |b| b.t);
-            let found = self.objects[object as usize].closest(&self.meshes, object, ray, tmax, omit)?;
-            if let Some(found) = found
-                && best.is_none_or(|b| found.t < b.t || (found.t == b.t && found.object < b.object))
-            {
-                best = Some(found);
-            }
-            Ok(best.map_or(ray.tmax, |b| b.t))
-        };
-        let mut far = ray.tmax;
+        let mut best = None;
         for &object in &self.always {
-            far = ask(object)?;
+            self.nearer(object, ray, omit, &mut best)?;
         }
-        if let Some(tree) = &self.tree {
-            tree.visit(ray.origin, ray.direction, ray.tmin, far, ask)?;
-        }
+        self.nearer_in_tree(ray, omit, &mut best)?;
         Ok(best)
+    }
+
+    /// Puts the hit of an object in the place of `best` if it comes before that; how far the ray still matters then.
+    pub(super) fn nearer(&self, object: u32, ray: &WorldRay, omit: Omit, best: &mut Option<Contact>) -> Result<f32> {
+        let tmax = best.map_or(ray.tmax, |b| b.t);
+        let found = self.objects[object as usize].closest(&self.meshes, object, ray, tmax, omit)?;
+        if let Some(found) = found
+            && best.is_none_or(|b| found.before(&b))
+        {
+            *best = Some(found);
+        }
+        Ok(best.map_or(ray.tmax, |b| b.t))
+    }
+
+    /// The same for all objects in the tree.
+    pub(super) fn nearer_in_tree(&self, ray: &WorldRay, omit: Omit, best: &mut Option<Contact>) -> Result<()> {
+        let Some(tree) = &self.tree else { return Ok(()) };
+        let far = best.map_or(ray.tmax, |b| b.t);
+        tree.visit(ray.origin, ray.direction, ray.tmin, far, |object| self.nearer(object, ray, omit, best))
     }
 
     /// All that the ray meets, in no order.
@@ -200,6 +206,11 @@ impl World {
                 return Ok(true);
             }
         }
+        self.any_in_tree(ray, omit)
+    }
+
+    /// Whether the ray meets anything in the tree.
+    pub(super) fn any_in_tree(&self, ray: &WorldRay, omit: Omit) -> Result<bool> {
         let Some(tree) = &self.tree else { return Ok(false) };
         let mut met = false;
         tree.visit(ray.origin, ray.direction, ray.tmin, ray.tmax, |object| -> Result<f32> {
@@ -207,6 +218,11 @@ impl World {
             Ok(if met { -1.0 } else { ray.tmax })
         })?;
         Ok(met)
+    }
+
+    /// Whether any objects stand in a tree.
+    pub(super) fn has_tree(&self) -> bool {
+        self.tree.is_some()
     }
 }
 

@@ -16,6 +16,7 @@ mod boxes;
 mod collect;
 mod flight;
 mod linear;
+mod near;
 mod octree;
 mod packet;
 mod rough;
@@ -108,6 +109,15 @@ pub trait Tracer: Send + Sync {
             *blocked = self.any_counted(ray, *skip, counters)?;
         }
         Ok(())
+    }
+
+    /// The same answers as [`Tracer::any_each`]'s, for rays that are short beside the triangles and come with their neighbours: much
+    /// faster for these, much slower for long ones.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        self.any_each(rays, skips, blocked, counters)
     }
 
     /// The closest hits of many rays, in parallel on rayon's current pool; `hits[i]` answers `rays[i]`.

@@ -7,6 +7,7 @@ use super::ask::{Ask, Least, LeastHit, LeastOfEach, Whether, WhetherEach};
 use super::batch::{Batch, SPACE};
 use super::collect::Collector;
 use super::flight::{Flight, STACKS};
+use super::near::Near;
 use super::packet::{self, PACKET};
 use super::setup::Scene;
 use super::walk::File;
@@ -156,6 +157,12 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
     fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
         assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
         self.many(WhetherEach(skips), rays, blocked, counters)
+    }
+
+    fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        self.isa.run(Near { octree: self.octree(), rays, skips, blocked, counters })?;
+        self.octree().fault()
     }
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {

@@ -285,14 +285,17 @@ static void sixteen(const Ray8* r, size_t n, bool any, Hit16* hits, uint8_t* blo
 }
 // Requests are lines "closest|any THREADS PATH" of a file of rays; each is traced once and answered with a line of JSON: the
 // seconds of tracing alone, those of the processor, and how many rays hit. The rays of the last path are kept, so that repeats read nothing.
-// "store PATH" writes the closest hits of the last round, 16 bytes each as with --hits.
-static int serve(const char* name, bool packet) {
+// "store PATH" writes the closest hits of the last round, 16 bytes each as with --hits. "frame THREADS" draws a frame as with --frame.
+static int serve(const char* name, bool packet, const std::function<double(int)>& frame) {
   printf("{\"peer\":\"%s\"}\n", name); fflush(stdout);
   std::vector<Ray8> rays; std::vector<Hit16> hits; std::vector<uint8_t> blocked; std::string kept; char line[4096 + 64], path[4097], what[16]; int T = 0;
   while (fgets(line, sizeof line, stdin)) {
     if (sscanf(line, "store %4096[^\n]", path) == 1) {
       FILE* f = fopen(path, "wb"); bool ok = f && fwrite(hits.data(), sizeof(Hit16), hits.size(), f) == hits.size(); if (!f || fclose(f) || !ok) { perror(path); return 1; }
       printf("{\"stored\":%zu}\n", hits.size()); fflush(stdout); continue;
+    }
+    if (sscanf(line, "frame %d", &T) == 1 && T >= 1 && T <= 1024) {
+      double c = cpuSeconds(), s = frame(T); printf("{\"frame\":%.9f,\"cpu\":%.9f}\n", s, cpuSeconds() - c); fflush(stdout); continue;
     }
     if (sscanf(line, "%15s %d %4096[^\n]", what, &T, path) != 3 || T < 1 || T > 1024) { fprintf(stderr, "not a request: %s", line); return 2; }
     bool any = !strcmp(what, "any"); if (!any && strcmp(what, "closest")) { fprintf(stderr, "not a request: %s", line); return 2; }
@@ -379,12 +382,6 @@ int main(int argc, char** argv) {
          tag, base, ver / 10000, ver / 100 % 100, ver % 100, quality, (int)robust_, (int)compact, buildThreads, buildRepeat, median(bt), *std::min_element(bt.begin(), bt.end()), *std::max_element(bt.begin(), bt.end()),
          (double)memNow / 1048576., (double)memNow / (double)nt, (double)memPeak / 1048576., (double)statusKb("VmRSS:") / 1024., (double)statusKb("VmHWM:") / 1024.);
   if (noTrace) return 0;
-  if (server) {
-    char name[96]; snprintf(name, sizeof name, "Embree %d.%d.%d %s%s%s%s", ver / 10000, ver / 100 % 100, ver % 100, quality, robust_ ? " robust" : "", compact ? " compact" : "", packet ? ", 16 rays" : "");
-    return serve(name, packet);
-  }
-  if (rayFile) return traceFile(rayFile, hitFile, any, threads, repeat, tag, base);
-
   double ex = m.hi[0] - m.lo[0], ey = m.hi[1] - m.lo[1], ez = m.hi[2] - m.lo[2], D = std::sqrt(ex * ex + ey * ey + ez * ez), eps = 1e-5 * D;
   V3 f = norm(look - eye), r = norm(cross(f, up)), u = cross(r, f); double th = std::tan(fov * M_PI / 360);
   size_t N = (size_t)W * (size_t)H;
@@ -394,6 +391,36 @@ int main(int argc, char** argv) {
       for (int y = by; y < by + 4; y++) for (int x = bx; x < bx + 4; x++) pix.push_back((uint32_t)(y * W + x));
   auto dirOf = [&](uint32_t p) { int x = (int)(p % (uint32_t)W), y = (int)(p / (uint32_t)W); double sx = (2 * (x + .5) / W - 1) * th * W / H, sy = (1 - 2 * (y + .5) / H) * th; return norm(f + sx * r + sy * u); };
   auto mk = [](V3 o, V3 d, double t) { return Ray{{(float)o.x, (float)o.y, (float)o.z}, {(float)d.x, (float)d.y, (float)d.z}, (float)t}; };
+  auto surface = [&](const Ray& ry, const Hit& h, V3& P, V3& n, V3& d) {
+    d = {ry.d[0], ry.d[1], ry.d[2]}; n = norm({h.n[0], h.n[1], h.n[2]}); if (dot(n, d) > 0) n = -1.0 * n;
+    P = V3{ry.o[0], ry.o[1], ry.o[2]} + (double)h.t * d + eps * n;
+  };
+  // A whole Whitted frame: one mirror bounce, a shadow ray at each hit, Blinn-Phong.
+  std::vector<uint8_t> img(N * 3);
+  std::atomic<size_t> rays{0};
+  auto work = [&](size_t b, size_t e) {
+    size_t cnt = 0;
+    for (; b < e; b++) {
+      V3 o = eye, d = dirOf(pix[b]); double w = 1, col = 0;
+      for (int bounce = 0; bounce < 2; bounce++) {
+        Ray ry = mk(o, d, 1e30); Hit h = trace1(ry); cnt++;
+        if (h.prim == ~0u) { col += w * (.25 + .25 * d.y); break; }
+        V3 P, n, dd; surface(ry, h, P, n, dd);
+        V3 L = light - P, l = norm(L); double lam = dot(n, l), c = .08;
+        if (lam > 0) { cnt++; if (!occl(mk(P, L, 1))) { V3 hv = norm(l - d); c += .7 * lam + .25 * std::pow(std::max(0.0, dot(n, hv)), 32); } }
+        col += w * (bounce ? 1 : .75) * c; w *= .25; o = P; d = norm(d - (2 * dot(d, n)) * n);
+      }
+      uint8_t g = (uint8_t)(255 * std::pow(std::min(1.0, std::max(0.0, col)), 1 / 2.2) + .5);
+      for (int k = 0; k < 3; k++) img[3 * (size_t)pix[b] + (size_t)k] = g;
+    }
+    rays += cnt;
+  };
+  if (server) {
+    char name[96]; snprintf(name, sizeof name, "Embree %d.%d.%d %s%s%s%s", ver / 10000, ver / 100 % 100, ver % 100, quality, robust_ ? " robust" : "", compact ? " compact" : "", packet ? ", 16 rays" : "");
+    return serve(name, packet, [&](int T) { return parallel(N, T, work); });
+  }
+  if (rayFile) return traceFile(rayFile, hitFile, any, threads, repeat, tag, base);
+
   std::vector<Ray> pr(N), sh, re; std::vector<Hit> ph(N); std::vector<float> tb(N);
   for (size_t i = 0; i < N; i++) pr[i] = mk(eye, dirOf(pix[i]), 1e30);
   auto say = [&](const char* st, const char* api, int T, size_t n, size_t hits, double sum, std::vector<double>& s) {
@@ -418,10 +445,6 @@ int main(int argc, char** argv) {
   }
   if (dumpDepth) { std::vector<float> d(N); for (size_t i = 0; i < N; i++) d[pix[i]] = ph[i].prim == ~0u ? -1 : ph[i].t; dump(dumpDepth, d.data(), N * 4); }
   if (dumpPrim) { std::vector<uint32_t> d(N); for (size_t i = 0; i < N; i++) d[pix[i]] = ph[i].prim; dump(dumpPrim, d.data(), N * 4); }
-  auto surface = [&](const Ray& ry, const Hit& h, V3& P, V3& n, V3& d) {
-    d = {ry.d[0], ry.d[1], ry.d[2]}; n = norm({h.n[0], h.n[1], h.n[2]}); if (dot(n, d) > 0) n = -1.0 * n;
-    P = V3{ry.o[0], ry.o[1], ry.o[2]} + (double)h.t * d + eps * n;
-  };
   for (size_t i = 0; i < N; i++) if (ph[i].prim != ~0u) {
     V3 P, n, d; surface(pr[i], ph[i], P, n, d);
     sh.push_back(mk(P, light - P, 1)); re.push_back(mk(P, norm(d - (2 * dot(d, n)) * n), 1e30));
@@ -444,26 +467,7 @@ int main(int argc, char** argv) {
     closest("chords", cr, &ch); dumpSet(dumpRays, "chords", cr, ts(ch));
     if (dumpChords) { std::vector<float> d(chords); for (size_t i = 0; i < chords; i++) d[i] = ch[i].prim == ~0u ? -1 : ch[i].t; dump(dumpChords, d.data(), chords * 4); }
   }
-  if (frame) {                                        // a whole Whitted frame: one mirror bounce, a shadow ray at each hit, Blinn-Phong
-    std::vector<uint8_t> img(N * 3);
-    std::atomic<size_t> rays{0};
-    auto work = [&](size_t b, size_t e) {
-      size_t cnt = 0;
-      for (; b < e; b++) {
-        V3 o = eye, d = dirOf(pix[b]); double w = 1, col = 0;
-        for (int bounce = 0; bounce < 2; bounce++) {
-          Ray ry = mk(o, d, 1e30); Hit h = trace1(ry); cnt++;
-          if (h.prim == ~0u) { col += w * (.25 + .25 * d.y); break; }
-          V3 P, n, dd; surface(ry, h, P, n, dd);
-          V3 L = light - P, l = norm(L); double lam = dot(n, l), c = .08;
-          if (lam > 0) { cnt++; if (!occl(mk(P, L, 1))) { V3 hv = norm(l - d); c += .7 * lam + .25 * std::pow(std::max(0.0, dot(n, hv)), 32); } }
-          col += w * (bounce ? 1 : .75) * c; w *= .25; o = P; d = norm(d - (2 * dot(d, n)) * n);
-        }
-        uint8_t g = (uint8_t)(255 * std::pow(std::min(1.0, std::max(0.0, col)), 1 / 2.2) + .5);
-        for (int k = 0; k < 3; k++) img[3 * (size_t)pix[b] + (size_t)k] = g;
-      }
-      rays += cnt;
-    };
+  if (frame) {
     for (int T : threads) {
       std::vector<double> s;
       for (int k = 0; k < repeat + 1; k++) { rays = 0; double d = parallel(N, T, work); if (k) s.push_back(d); }

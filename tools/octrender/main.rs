@@ -95,7 +95,9 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     let world = World::new(scene, meshes.clone(), session.monitor())?;
     let PictureArgs { size, samples, depth, crop } = args.picture;
     let settings = Settings { size, samples, depth, crop, ..Settings::default() };
+    let before = cli::stats::cpu_seconds();
     let picture = render::render(&world, &settings, session.monitor())?;
+    let trace_cpu_seconds = cli::stats::cpu_seconds() - before;
     meshes.iter().try_for_each(|mesh| mesh.fault())?;
     if !picture.complete {
         return broken_off(&picture, &place, tonemap, session);
@@ -105,7 +107,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
         Place::File(path) => output::save(&picture.film, path, tonemap)?,
     }
-    let stats = Stats::new(&picture, &meshes);
+    let stats = Stats::new(&picture, trace_cpu_seconds, &meshes);
     session.say(stats.line(&place));
     args.stats.write(&stats)?;
     Ok(ExitCode::SUCCESS)

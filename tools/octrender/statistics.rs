@@ -19,6 +19,8 @@ pub struct Stats {
     rays: Rays,
     seconds: f64,
     trace_seconds: f64,
+    /// The processor's, of all threads, for `trace_seconds`.
+    trace_cpu_seconds: f64,
     cpu_seconds: f64,
     pages: Pages,
     peak_rss_bytes: u64,
@@ -43,7 +45,7 @@ struct Pages {
 
 impl Stats {
     /// The statistics of a picture of these meshes.
-    pub fn new(picture: &Picture, meshes: &[Arc<Octree>]) -> Stats {
+    pub fn new(picture: &Picture, trace_cpu_seconds: f64, meshes: &[Arc<Octree>]) -> Stats {
         let (s, rays) = (picture.statistics, picture.statistics.rays);
         let touched: u64 = meshes.iter().map(|m| m.used().count() as u64).sum();
         Stats {
@@ -53,6 +55,7 @@ impl Stats {
             rays: Rays { primary: rays.primary, shadow: rays.shadow, mirror: rays.mirror, refracted: rays.refracted },
             seconds: s.seconds,
             trace_seconds: s.trace_seconds,
+            trace_cpu_seconds,
             cpu_seconds: stats::cpu_seconds(),
             pages: Pages {
                 total: meshes.iter().map(|m| u64::from(m.header().pages)).sum(),

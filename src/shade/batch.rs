@@ -1,0 +1,173 @@
+//! Many rays at once against all objects of the scene: each mesh takes its share of them as one batch.
+//!
+//! The answers are those of [`World::closest`] and [`World::any`] for every ray by itself: which object is asked first changes none of
+//! them. Spheres, planes and rectangles are asked ray by ray, as are the objects of a tree, where each ray goes its own way.
+
+use super::object::{Contact, Kind, Part, Placed};
+use super::ray::{Omit, WorldRay};
+use super::world::World;
+use crate::error::Result;
+use crate::geometry::{Ray, Skip};
+use crate::trace::{Counters, Found};
+
+/// Hits nothing.
+const NO_RAY: Ray = Ray { origin: [0.0; 3], direction: [0.0; 3], tmin: 0.0, tmax: 0.0 };
+
+/// Rays as one mesh sees them, and its answers; kept so that a batch allocates nothing.
+#[derive(Default)]
+pub(super) struct Batch {
+    rays: Vec<Ray>,
+    skips: Vec<Skip>,
+    found: Vec<Option<Found>>,
+    blocked: Vec<bool>,
+    /// Which of the world's rays each is.
+    places: Vec<u32>,
+}
+
+/// Questions whether anything lies on a ray.
+#[derive(Default)]
+pub(super) struct Questions {
+    rays: Vec<WorldRay>,
+    omits: Vec<Omit>,
+    /// The answers, once asked.
+    pub blocked: Vec<bool>,
+}
+
+impl Questions {
+    /// None.
+    pub fn clear(&mut self) {
+        self.rays.clear();
+        self.omits.clear();
+    }
+
+    /// One more.
+    pub fn push(&mut self, ray: WorldRay, omit: Omit) {
+        self.rays.push(ray);
+        self.omits.push(omit);
+    }
+
+    /// Questions and answers.
+    pub fn answered(&self) -> impl Iterator<Item = (&WorldRay, Omit, bool)> {
+        self.rays.iter().zip(&self.omits).zip(&self.blocked).map(|((ray, &omit), &blocked)| (ray, omit, blocked))
+    }
+
+    /// Questions, and answers to be corrected.
+    pub fn answered_mut(&mut self) -> impl Iterator<Item = (&WorldRay, Omit, &mut bool)> {
+        self.rays.iter().zip(&self.omits).zip(&mut self.blocked).map(|((ray, &omit), blocked)| (ray, omit, blocked))
+    }
+}
+
+impl World {
+    /// What each ray meets first, nothing left out; `contacts[i]` answers `rays[i]`.
+    pub(super) fn closest_each(
+        &self,
+        rays: &[WorldRay],
+        contacts: &mut Vec<Option<Contact>>,
+        batch: &mut Batch,
+    ) -> Result<()> {
+        contacts.clear();
+        contacts.resize(rays.len(), None);
+        for &object in &self.always {
+            match &self.objects[object as usize].kind {
+                Kind::Mesh(placed) => self.nearer_each(object, placed, rays, contacts, batch)?,
+                _ => {
+                    for (ray, best) in rays.iter().zip(&mut *contacts) {
+                        self.nearer(object, ray, Omit::NOTHING, best)?;
+                    }
+                }
+            }
+        }
+        if self.has_tree() {
+            for (ray, best) in rays.iter().zip(contacts) {
+                self.nearer_in_tree(ray, Omit::NOTHING, best)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Puts hits of a mesh in the place of those that they come before.
+    fn nearer_each(
+        &self,
+        object: u32,
+        placed: &Placed,
+        rays: &[WorldRay],
+        contacts: &mut [Option<Contact>],
+        batch: &mut Batch,
+    ) -> Result<()> {
+        let Batch { rays: seen, skips, found, .. } = batch;
+        let to_local = placed.to_local.as_ref();
+        seen.resize(rays.len(), NO_RAY);
+        for ((seen, ray), best) in seen.iter_mut().zip(rays).zip(&*contacts) {
+            *seen = ray.seen_by(object, to_local, best.as_ref().map_or(ray.tmax, |b| b.t));
+        }
+        skips.clear();
+        skips.resize(rays.len(), Skip::NONE);
+        found.resize(rays.len(), None);
+        self.meshes[placed.mesh].tracer.closest_each(seen, skips, found, &mut Counters::default())?;
+        for (found, best) in found.iter().zip(contacts) {
+            let Some(found) = found else { continue };
+            let contact = Contact { t: found.hit.t, object, part: Part::Mesh(*found) };
+            if best.as_ref().is_none_or(|b| contact.before(b)) {
+                *best = Some(contact);
+            }
+        }
+        Ok(())
+    }
+
+    /// Answers all questions; meshes are told that the rays are `short`.
+    pub(super) fn any_each(&self, questions: &mut Questions, short: bool, batch: &mut Batch) -> Result<()> {
+        let Questions { rays, omits, blocked } = questions;
+        blocked.clear();
+        blocked.resize(rays.len(), false);
+        for &number in &self.always {
+            let object = &self.objects[number as usize];
+            match &object.kind {
+                Kind::Mesh(placed) => self.any_of_mesh(number, placed, short, rays, omits, blocked, batch)?,
+                _ => {
+                    for ((ray, &omit), blocked) in rays.iter().zip(&*omits).zip(&mut *blocked).filter(|x| !*x.1) {
+                        *blocked = object.any(&self.meshes, number, ray, omit)?;
+                    }
+                }
+            }
+        }
+        if self.has_tree() {
+            for ((ray, &omit), blocked) in rays.iter().zip(&*omits).zip(&mut *blocked).filter(|x| !*x.1) {
+                *blocked = self.any_in_tree(ray, omit)?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Asks a mesh about the rays that nothing else blocks.
+    #[expect(clippy::too_many_arguments, reason = "questions in parts, one of which is changed")]
+    fn any_of_mesh(
+        &self,
+        object: u32,
+        placed: &Placed,
+        short: bool,
+        rays: &[WorldRay],
+        omits: &[Omit],
+        blocked: &mut [bool],
+        batch: &mut Batch,
+    ) -> Result<()> {
+        let Batch { rays: seen, skips, blocked: answers, places, .. } = batch;
+        seen.clear();
+        skips.clear();
+        places.clear();
+        for (i, (ray, omit)) in rays.iter().zip(omits).enumerate().filter(|x| !blocked[x.0]) {
+            seen.push(ray.seen_by(object, placed.to_local.as_ref(), ray.tmax));
+            skips.push(if omit.object == object { Skip::one(omit.face) } else { Skip::NONE });
+            places.push(i as u32);
+        }
+        answers.resize(seen.len(), false);
+        let (tracer, counters) = (&self.meshes[placed.mesh].tracer, &mut Counters::default());
+        match short {
+            true => tracer.any_short(seen, skips, answers, counters)?,
+            false => tracer.any_each(seen, skips, answers, counters)?,
+        }
+        for (&place, &answer) in places.iter().zip(&*answers) {
+            blocked[place as usize] = answer;
+        }
+        Ok(())
+    }
+}
