@@ -25,11 +25,10 @@ pub(super) fn leaf<K: Kernel, A: Ask>(
     depths: &mut Depths,
 ) -> bool {
     let mut changed = false;
-    for g in 0..GROUPS {
+    for (g, group) in groups.iter_mut().enumerate() {
         if state.live[g] == 0 {
             continue;
         }
-        let group = &mut groups[g];
         let active = state.live[g] & meets(kernel, group, sides);
         if active == 0 {
             continue;
@@ -147,17 +146,19 @@ fn one_by_one<K: Kernel, A: Ask>(
             let (l, h) = (depths.lo[j as usize], depths.hi[j as usize]);
             if l > tmin && h < tmax && h < lo {
                 (lo, hi, lane) = (l, h, Some(j));
-            } else if !(l > hi) {
-                doubt = true;
+            } else {
+                let behind = l > hi;
+                doubt |= !behind;
             }
         }
         if let Some(j) = lane {
             if hi < before {
                 (group.lo.0[i], group.hi.0[i], group.which[i]) = (lo, hi, j);
                 taken |= 1 << i;
-            } else if !(lo > reach) {
+            } else {
                 // The same triangle, stored in several leaves, has the same bounds.
-                doubt |= !(lo == before && hi == reach && group.face[i] == stored.face(j).0);
+                let behind = lo > reach;
+                doubt |= !(behind || lo == before && hi == reach && group.face[i] == stored.face(j).0);
             }
         }
         doubted |= u32::from(doubt) << i;

@@ -339,9 +339,8 @@ fn sides(common: &Common, node: &Node, slot: usize, corner: [f32; 3], unit: [f32
 #[inline(always)]
 fn meets<K: Kernel>(kernel: K, group: &Group, sides: &[[f32; 2]; 3]) -> u32 {
     let (mut enter, mut leave) = (kernel.get(&group.near), kernel.get(&group.far));
-    for axis in 0..3 {
+    for (axis, &[first, last]) in sides.iter().enumerate() {
         let (inv, start) = (kernel.get(&group.inv[axis]), kernel.get(&group.start[axis]));
-        let [first, last] = sides[axis];
         enter = kernel.greater(kernel.fused(kernel.all(first), inv, start), enter);
         leave = kernel.lesser(kernel.fused(kernel.all(last), inv, start), leave);
     }

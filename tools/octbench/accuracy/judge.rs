@@ -192,7 +192,7 @@ impl Packed {
         let place = ray.direction[0].to_bits() as usize % PACKET;
         let nudged = |i: usize| {
             // From the last bit up to a thousandth.
-            let step = (1u32 << (i % 14)) as f32 * f32::EPSILON * if i % 2 == 0 { 1.0 } else { -1.0 };
+            let step = (1u32 << (i % 14)) as f32 * f32::EPSILON * [1.0, -1.0][i % 2];
             let mut other = *ray;
             other.direction[i % 3] += step * ray.direction[(i + 1) % 3];
             if i == place { *ray } else { other }
