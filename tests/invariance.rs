@@ -257,6 +257,29 @@ fn beside(ray: Ray, apart: f32, random: &mut Random) -> Vec<Ray> {
         .collect()
 }
 
+/// Gives rays intervals of their own, some that end at a hit or a step of f32 beside it; and makes some of them invalid.
+fn mix(rays: &mut [Ray], tracer: &dyn Tracer, random: &mut Random) {
+    for (i, ray) in rays.iter_mut().enumerate() {
+        let t = tracer.closest(ray, Skip::NONE).unwrap().map_or(1.0, |found| found.hit.t);
+        let [under, over] = [t.next_down(), t.next_up()];
+        *ray = match i % 9 {
+            1 => ray.between(f32::NEG_INFINITY, f32::INFINITY),
+            2 => ray.between(random.pick(&[0.0, under, t, over]), f32::INFINITY),
+            3 => ray.between(-1.0, random.pick(&[under, t, over, 2.0 * t])),
+            4 => ray.between(t, t),
+            _ => *ray,
+        };
+        match random.below(40) {
+            0 => ray.origin[i % 3] = f32::NAN,
+            1 => ray.direction[i % 3] = random.pick(&[0.0, -0.0, f32::INFINITY]),
+            2 => ray.direction = [0.0; 3],
+            3 => (ray.tmin, ray.tmax) = (1.0, 0.5),
+            4 => ray.origin[i % 3] = 1e30,
+            _ => {}
+        }
+    }
+}
+
 #[test]
 fn in_packets() {
     let (mut together, mut alone) = (0, 0);
@@ -267,7 +290,10 @@ fn in_packets() {
         let size = octree.root().side() as f32;
         for query in bench.queries.iter().take(300) {
             let apart = random.pick(&[0.0, 1e-6, 1e-3]) * size;
-            let rays = beside(query.ray, apart, &mut random);
+            let mut rays = beside(query.ray, apart, &mut random);
+            if random.below(2) == 0 {
+                mix(&mut rays, &OctreeTracer::new(&octree), &mut random);
+            }
             let skips: Vec<Skip> = rays.iter().map(|_| random.pick(&[query.skip, Skip::NONE])).collect();
             let asked = |isa, order| {
                 let tracer = OctreeTracer::new(&octree).with_isa(isa).with_order(order);

@@ -6,8 +6,10 @@
 //! of the side on which the ray starts. If it has not, each component is rounded toward that side instead, by less than one step; if
 //! that is not enough (an instance rounds again in its own space; f64 was off) the direction is lifted along the normal by 2^-24 of its
 //! length, twice that, and so on. A ray that starts strictly on one side of a plane and does not turn toward it stays
-//! there: exactly so for triangles, for planes as their own intersection has it. Balls need none of this: outside, an origin lies
-//! so far above the horizon that no rounding reaches it; inside, every ray meets the ball again.
+//! there: exactly so for triangles, for planes as their own intersection has it. A ball's outside is left by directions that lie above the
+//! tangent plane by 2^-40 or more: then both roots are behind the origin, which stands on the normal but for less than that where the ball
+//! is much larger than its distance from the world's origin; where it is not, the origin lies above the horizon by far more. Inside, every
+//! ray meets the ball again. Twenty lifts reach 1/16, more than any rounding; should none do, the nearest direction is taken.
 
 use std::cmp::Ordering;
 
@@ -19,6 +21,8 @@ use super::spot::{Anchor, Spot};
 use super::world::World;
 use crate::exact::heading;
 
+/// How far above a ball's tangent plane directions must lie, as a sine.
+const ABOVE: f64 = 1.0 / (1u64 << 40) as f64;
 /// Lifts that are tried: doublings of 2^-24.
 const MOST_LIFTS: i32 = 20;
 
@@ -55,7 +59,10 @@ impl World {
                 let product = flat.normal.dot(direction);
                 if front { product > 0.0 } else { product < 0.0 }
             }
-            (Anchor::Smooth, _) => true,
+            (Anchor::Smooth, _) => {
+                let outward = if near { spot.normal } else { -spot.normal };
+                !front || outward.dot(direction) > ABOVE * direction.length()
+            }
         }
     }
 }

@@ -1,8 +1,9 @@
 //! Rays against an octree file: closest hit, any hit, all hits in order, and the triangles that touch a box.
 //!
 //! [`OctreeTracer`] walks the file's own bytes: the parametric octree traversal of Revelles, Ureña and Lastra (2000) in a form that
-//! never loses a cell (`setup.rs` has the argument, `walk.rs` the walk of one ray, `flight.rs` that of several), over nodes and leaves as FORMAT.md has them. A triangle is
-//! tested by the f32 filter of [`crate::exact`] first and exactly where that is in doubt. [`LinearTracer`] tests every triangle
+//! never loses a cell, over nodes and leaves as FORMAT.md has them. `setup.rs` has the argument, `walk.rs` the walk of one ray, `flight.rs` that
+//! of several under way at once, `packet/` that of rays side by side, `near.rs` that of short rays, `batch.rs` what chooses among them;
+//! `rough.rs` measures what exactness costs. A triangle is tested by the f32 filter of [`crate::exact`] first and exactly where that is in doubt. [`LinearTracer`] tests every triangle
 //! exactly and is the reference. `arch/` holds the inner loops.
 //!
 //! Answers depend on the set of triangles alone: closest means least by (exact t, face id). What this module does not do:
@@ -200,7 +201,7 @@ fn batch<A: Send>(
         .try_reduce(Counters::default, |a, b| Ok(a + b))
 }
 
-/// Work done, summed over rays; explains times.
+/// Work done, summed over rays; explains times. What a packet does for all of its rays at once counts once.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Counters {
     /// Rays traced.

@@ -16,7 +16,7 @@ use crate::error::Result;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
 
-/// Batches on files up to this size, which mostly stay in the processor's caches, are walked one ray after the other: measured.
+/// On files up to this size, which mostly stay in the processor's caches, rays that make no packets are walked one after the other: measured.
 const CACHED: u64 = 64 << 20;
 
 /// Answers rays by walking an octree file. `O` is `&Octree`, `Arc<Octree>`, or `Octree` itself.

@@ -1,6 +1,7 @@
 //! The inner loops of the walk, one implementation an instruction set.
 //!
-//! A [`Kernel`] does three things: which slots of a node a ray touches, the frame of a child, and the f32 filter over a leaf.
+//! A [`Kernel`] aims rays, tells which slots of a node a ray touches, finds the frame of a child, filters a leaf's triangles in f32 and rounds t, u
+//! and v in f64; as a [`Wide`] it calculates with sixteen numbers at once.
 //! [`scalar`] is portable, safe Rust and defines the results: another kernel must give a leaf the same masks, bit for bit (the
 //! filter's operations are the same IEEE operations in the same order, never fused), and a node any mask that holds every
 //! slot which the exact ray touches. The answers of a query depend on neither, since the exact test decides: so all kernels agree.

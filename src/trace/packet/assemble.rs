@@ -33,7 +33,7 @@ pub(super) fn assemble<K: Kernel>(
         2
     };
     let axes = [(z + 1) % 3, (z + 2) % 3, z];
-    // The root's corner as the sum of two f32: the first difference is exact where it matters.
+    // The root's corner as the sum of two f32: the first difference is rounded by no more than the budget has for the origin.
     let split = [0, 1, 2].map(|i| {
         let high = fit.corner[i] as f32;
         [high, (fit.corner[i] - f64::from(high)) as f32]

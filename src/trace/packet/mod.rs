@@ -5,8 +5,9 @@
 //! a slot is visited only if one of the rays touches its box too; at a leaf each ray does so by itself, sixteen in SIMD.
 //! Then, if many of sixteen rays are left, each triangle is tested against all of them, else each ray against all triangles.
 //!
-//! Where the f32 filter is in doubt, ray and triangle are decided exactly at once. A ray whose hits lie too close together for
-//! the bounds of t to tell leaves the packet, and is walked alone. So the answers are those of single rays.
+//! Where the f32 filter is in doubt, ray and triangle are decided exactly at once. A ray whose hits lie too close together, or to an end
+//! of its interval, for the bounds of t to tell leaves the packet, and is walked alone; so does one whose t, u or v f64 cannot round. So the
+//! hits are those of single rays (of a triangle stored several times another copy may be named).
 //!
 //! Planes are computed in root units, not as parameters: a frame's corner is carried along as f32. That rounds as often as the walk of one ray
 //! does (a step each level, the origin, the difference, the product), so that the slack of `setup.rs` holds; as the position

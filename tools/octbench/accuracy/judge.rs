@@ -187,13 +187,18 @@ struct Packed(OctreeTracer<Arc<Octree>>);
 const PACKET: usize = 8;
 
 impl Packed {
-    /// The ray's companions, from the same point in nearly the same direction, and its place among them.
+    /// The ray's companions, from the same point or close by in nearly the same direction, and its place among them.
     fn packet(ray: &Ray) -> ([Ray; PACKET], usize) {
         let place = ray.direction[0].to_bits() as usize % PACKET;
         let nudged = |i: usize| {
             // From the last bit up to a thousandth.
             let step = (1u32 << (i % 14)) as f32 * f32::EPSILON * [1.0, -1.0][i % 2];
             let mut other = *ray;
+            if ray.origin[1].to_bits() & 1 != 0 {
+                // Around the point.
+                let axis = (i + 1) % 3;
+                other.origin[axis] += step * ray.origin[axis];
+            }
             other.direction[i % 3] += step * ray.direction[(i + 1) % 3];
             if i == place { *ray } else { other }
         };
