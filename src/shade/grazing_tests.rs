@@ -230,30 +230,22 @@ fn so_it_does_from_a_ball_that_passes_by_the_worlds_origin() {
         let ray = WorldRay::new(shift + reach * (tangent + rise * outward), -tangent - rise * outward);
         let Some(contact) = one.closest(&ray, Omit::NOTHING).unwrap() else { continue };
         let spot = one.spot(&contact, &ray).unwrap();
-        let direction = mirror(&spot, ray.direction().normalize());
-        let away = one.away(&spot, true, direction);
-        assert!(away.dot(spot.normal) > 0.0, "{ray:?} {outward:?}");
-        lifted += u32::from(away != rounded(direction));
+        // Rounding may have put the ray's start inside.
+        if !spot.front {
+            continue;
+        }
+        // Flatter than a ray of f32 can be aimed, but not than a path may come to be.
+        let aside = (tangent - tangent.dot(spot.normal) * spot.normal).normalize();
+        for power in 6..12 {
+            let direction = aside + 10f64.powi(-power) * spot.normal;
+            let away = one.away(&spot, true, direction);
+            assert!(away.dot(spot.normal) > 0.0, "{ray:?} {outward:?}");
+            lifted += u32::from(away != rounded(direction));
+        }
         let Some(Bounce::Free(next)) = one.mirror_path(ray).bounce().unwrap() else { continue };
         let again = one.closest(&next, Omit::NOTHING).unwrap();
         assert!(again.is_none_or(|c| c.object != contact.object), "{ray:?} {outward:?}");
         mirrored += 1;
     }
-    assert!(mirrored > 2000 && lifted > 5, "{mirrored} {lifted}");
-}
-
-#[test]
-fn a_direction_that_met_its_ball_again() {
-    let center = DVec3::new(-0.5069162259169512, -0.48460976866155264, -0.7128739804621226);
-    let (t, _) = triangle(&mut Random(4), 0);
-    let ball = Geometry::Sphere { center, radius: 1.0, to_world: DAffine3::IDENTITY };
-    let one = world(vec![t], DAffine3::from_translation(DVec3::splat(1e9)), vec![ball], MIRROR);
-    let d = DVec3::new(0.50218025, 0.50614109, -0.70116773);
-    let point = DVec3::new(3.304e-10, -3.9455e-11, -2.0813e-10);
-    // Down onto the ball there.
-    let ray = WorldRay::new(point + (point - center), -(point - center));
-    let contact = one.closest(&ray, Omit::NOTHING).unwrap().unwrap();
-    let spot = one.spot(&contact, &ray).unwrap();
-    assert!(rounded(d).dot(spot.normal) < 0.0);
-    assert!(one.away(&spot, true, d).dot(spot.normal) > 0.0);
+    assert!(mirrored > 2000 && lifted > 1000, "{mirrored} {lifted}");
 }

@@ -153,20 +153,19 @@ impl Rounding {
         for (i, (ray, collector)) in rays.iter().zip(collectors).enumerate().take(LANES) {
             let Best::Seen(Seen { stored: Stored { leaf, .. }, lane, .. }) = &collector.best else { continue };
             let [a, b, c] = leaf.corners(*lane as usize);
-            let mut whole = true;
-            for axis in 0..3 {
-                let x = leaf.coordinates(axis);
-                let (Some(&xa), Some(&xb), Some(&xc)) = (x.get(a), x.get(b), x.get(c)) else {
-                    whole = false;
-                    break;
-                };
-                let block = &mut this.block;
-                (block.a[axis].0[count], block.b[axis].0[count], block.c[axis].0[count]) = (xa, xb, xc);
+            let (x, y, z) = (leaf.coordinates(0), leaf.coordinates(1), leaf.coordinates(2));
+            let vertices = x.len().min(y.len()).min(z.len());
+            if a >= vertices || b >= vertices || c >= vertices {
+                continue;
+            }
+            let block = &mut this.block;
+            for (axis, x) in [&x[..vertices], &y[..vertices], &z[..vertices]].into_iter().enumerate() {
+                (block.a[axis].0[count], block.b[axis].0[count], block.c[axis].0[count]) = (x[a], x[b], x[c]);
                 block.origin[axis].0[count] = ray.origin[axis];
                 block.direction[axis].0[count] = ray.direction[axis];
             }
-            this.inside |= u32::from(whole) << i;
-            count += usize::from(whole);
+            this.inside |= 1 << i;
+            count += 1;
         }
         if count > 0 {
             kernel.rounded(&this.block, u32::MAX >> (32 - count), &mut this.rounded);
