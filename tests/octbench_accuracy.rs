@@ -34,10 +34,15 @@ fn a_million_aimed_rays_agree_with_the_oracle() {
     let families = stats["families"].as_array().unwrap();
     assert_eq!(families.len(), 53);
     for family in families {
-        // Every mode has seen every ray.
+        // Every mode has seen every ray, but packets one in eight, and the test of every triangle those on small meshes.
         for mode in family["modes"].as_array().unwrap() {
             let (all, traced) = (family["rays"].as_u64().unwrap(), mode["traced"].as_u64().unwrap());
-            assert!(traced >= all || mode["mode"] == "linear", "{family}");
+            let least = match mode["mode"].as_str().unwrap() {
+                "linear" => 1,
+                "packet" => all / 8,
+                _ => all,
+            };
+            assert!(traced >= least, "{family}");
         }
         assert!(family["modes"][0]["mode"] == "scalar" && family["bound_95"].is_number(), "{family}");
     }
