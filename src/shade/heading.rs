@@ -9,7 +9,7 @@
 //! there: exactly so for triangles, for planes as their own intersection has it. A ball's outside is left by directions that lie above the
 //! tangent plane by 2^-40 or more: then both roots are behind the origin, which stands on the normal but for less than that where the ball
 //! is much larger than its distance from the world's origin; where it is not, the origin lies above the horizon by far more. Inside, every
-//! ray meets the ball again. Twenty lifts reach 1/16, more than any rounding; should none do, the nearest direction is taken.
+//! ray meets the ball again. Twenty lifts reach 1/32, more than any rounding; should none do, the nearest direction is taken.
 
 use std::cmp::Ordering;
 
