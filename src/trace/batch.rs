@@ -70,7 +70,7 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
                     if sight.setup.aim(kernel, &those[count], file.scene) {
                         let Setup { way, aim, far, .. } = &sight.setup;
                         let frame = kernel.frame(&start.cell, aim, way);
-                        let (left, near) = kernel.touch(start.view.node(0), frame, way, *far);
+                        let (left, near) = kernel.touch(start.view.node(0), frame, way, kernel.ends(way.near, *far));
                         kernel.save(&mut sight.saved, frame, near);
                         sight.left = left;
                         live |= u32::from(left != 0) << count;

@@ -1,40 +1,49 @@
-//! Several rays under way at once on one thread, each by one step in turn.
+//! Many rays under way at once on one thread, sorted by the kind of step that each needs next.
 //!
-//! A single walk is one long chain of dependent steps: load a node, test it, pick a child. Between the steps of one ray the processor
-//! can work on those of others, if their control flow is known in time. So a step begins with branches on what the step before it
-//! found, which by now is known, and ends with what takes long: the test of a node or of a leaf's triangles.
+//! A single walk is one long chain of dependent steps, and what kind of step follows another (a node, a leaf, a node put aside before)
+//! is a coin's toss that the processor often guesses wrong. Here each ray stands in the queue of the step that it needs next, and a
+//! round goes over one queue after the other: within a queue all rays do the same, without a branch, and do not wait for each other, so
+//! that the processor works on several at once. What is loaded next is asked for when a ray joins a queue.
 
 use std::cell::RefCell;
 
 use bytemuck::Zeroable;
 
 use super::Counters;
-use super::arch::{Job, Kernel, Saved};
+use super::arch::{Job, Kernel};
 use super::ask::Ask;
 use super::collect::{Collector, Next, Stored};
 use super::setup::Setup;
-use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Level, Start, TOP, View, cell_of, keep, range, take};
+use super::walk::{BRICK, EMPTY, File, LEVELS, Level, Start, TOP, View, cell_of, range, take};
 use crate::error::Result;
-use crate::exact::{Depths, Lanes, Shear};
+use crate::exact::{Depths, LANES, Lanes, Shear};
+use crate::format::Node;
 use crate::geometry::Ray;
 
-/// Rays under way at once.
-const RAYS: usize = 8;
+/// Rays under way at once; a power of two.
+const RAYS: usize = 32;
 
-/// A ray's stack. The odd size keeps the stacks of all rays from meeting in the same cache sets.
+/// A ray's stack; the last level in use is that of the node under way, and the first says that the walk is over. The odd size keeps the
+/// stacks of all rays from meeting in the same cache sets.
 #[derive(Clone, Copy, Zeroable)]
 #[repr(C, align(64))]
 pub(super) struct Stack {
-    levels: [Level; LEVELS],
+    levels: [Level; DEPTH],
     apart: [u8; 320],
 }
+
+/// Levels of a stack; a power of two.
+const DEPTH: usize = (LEVELS + 2).next_power_of_two();
+
+/// Stacks for all rays under way.
+pub(super) type Stacks = [Stack; RAYS];
 
 thread_local! {
     /// Each thread's stacks, kept so that a batch allocates nothing.
     pub(super) static STACKS: RefCell<Box<Stacks>> = RefCell::new(bytemuck::zeroed_box());
 }
 
-/// Rays to be walked several at a time, with whichever kernel is there.
+/// Rays to be walked many at a time, with whichever kernel is there.
 pub(super) struct Flight<'a, 'w, A: Ask> {
     pub ask: A,
     pub rays: &'w [Ray],
@@ -44,34 +53,83 @@ pub(super) struct Flight<'a, 'w, A: Ask> {
     pub stacks: &'w mut Stacks,
 }
 
-/// Stacks for all rays under way.
-pub(super) type Stacks = [Stack; RAYS];
-
 /// A ray under way.
 #[repr(align(64))]
-struct Flying<'a, C> {
-    /// The node under way: its frame and the entries of its slots.
-    saved: Saved,
+struct Flying<'a, K: Kernel, C> {
     setup: Setup,
-    shear: Shear,
-    depths: Depths,
-    view: View<'a>,
-    node: u32,
-    /// Slots left to visit.
-    left: u32,
-    /// Levels put aside.
-    top: usize,
     /// The parameter beyond which nothing matters.
     far: f32,
-    sheared: bool,
+    ends: K::Ends,
+    /// The level of the node under way.
+    top: u32,
+    /// The nodes of the page or the top that it is in.
+    nodes: &'a [Node],
+    /// The page entered last; while nodes are those of the top it is not used.
+    view: View<'a>,
+    shear: Shear,
+    depths: Depths,
     /// A leaf that was tested, and the filter's word on it.
     leaf: Option<(Stored<'a>, Lanes)>,
     ray: Ray,
     /// The ray's place in the batch.
     place: usize,
-    /// Which stack is its own.
-    stack: usize,
     collector: C,
+}
+
+/// What a ray needs next.
+#[derive(Clone, Copy, PartialEq, Eq)]
+#[repr(u8)]
+enum Step {
+    /// Its next slot is an inner node of the same page.
+    Inner,
+    /// A leaf.
+    Leaf,
+    /// A page.
+    Brick,
+    /// Nothing is left of the node, or the slot is empty.
+    Back,
+    /// Triangles of a leaf may be hit.
+    Hit,
+    /// The walk is over.
+    End,
+}
+
+/// The step that a slot byte asks for; behind these 256, where no slot is left.
+static STEPS: [Step; 512] = {
+    let mut steps = [Step::Back; 512];
+    let mut byte = 0;
+    while byte < 256 {
+        steps[byte] = match byte as u8 {
+            EMPTY => Step::Back,
+            byte if byte < EMPTY => Step::Leaf,
+            byte if byte & BRICK == BRICK => Step::Brick,
+            _ => Step::Inner,
+        };
+        byte += 1;
+    }
+    steps
+};
+
+/// The rays by what they need next.
+struct Queues {
+    rays: [[u8; RAYS]; 8],
+    counts: [u8; 8],
+}
+
+impl Queues {
+    #[inline(always)]
+    fn push(&mut self, step: Step, ray: u8) {
+        let count = &mut self.counts[step as usize & 7];
+        self.rays[step as usize & 7][usize::from(*count) % RAYS] = ray;
+        *count += 1;
+    }
+
+    /// Empties a queue.
+    #[inline(always)]
+    fn take(&mut self, step: Step) -> ([u8; RAYS], usize) {
+        let count = std::mem::take(&mut self.counts[step as usize & 7]);
+        (self.rays[step as usize & 7], usize::from(count).min(RAYS))
+    }
 }
 
 impl<A: Ask> Job for Flight<'_, '_, A>
@@ -84,166 +142,288 @@ where
     fn run<K: Kernel>(self, kernel: K) -> Result<()> {
         let Flight { ask, rays, answers, file, counters, stacks } = self;
         counters.rays += rays.len() as u64;
-        if rays.is_empty() {
-            return Ok(());
-        }
         let start = file.start()?;
-        let mut next = 0;
-        let mut flying: [Flying<'_, A::Collector<'_>>; RAYS] = std::array::from_fn(|stack| Flying {
-            stack,
-            saved: Saved::zeroed(),
+        let top = file.view(TOP)?.nodes;
+        let mut flying: [Flying<'_, K, A::Collector<'_>>; RAYS] = std::array::from_fn(|_| Flying {
             setup: Setup::zeroed(),
+            far: 0.0,
+            ends: kernel.ends(0.0, 0.0),
+            top: 0,
+            nodes: start.view.nodes,
+            view: start.view,
             shear: Shear::default(),
             depths: Depths::BLANK,
-            view: start.view,
-            node: 0,
-            left: 0,
-            top: 0,
-            far: 0.0,
-            sheared: false,
             leaf: None,
             ray: Ray::new([0.0; 3], [0.0; 3]),
             place: 0,
-            collector: ask.begin(0, &rays[0]),
+            collector: A::idle(),
         });
-        let mut aloft = 0;
-        while aloft < RAYS
-            && launch(kernel, &ask, rays, answers, &mut next, &file, &start, &mut flying[aloft], counters)
-        {
-            aloft += 1;
-        }
-        while aloft > 0 {
-            let mut i = 0;
-            while i < aloft {
-                let ray = &mut flying[i];
-                let stack = &mut stacks[ray.stack % RAYS].levels;
-                if step(kernel, &file, ray, stack, counters)? {
-                    i += 1;
-                    continue;
+        let mut queues = Queues { rays: [[0; RAYS]; 8], counts: [0; 8] };
+        let mut waiting = Waiting { rays, next: 0 };
+        // Those on the ground, not yet launched.
+        let mut ground: [u8; RAYS] = std::array::from_fn(|i| i as u8);
+        let mut grounded = RAYS;
+        let mut inners = 0;
+        loop {
+            // Launch what can be launched, up to sixteen at once.
+            while grounded > 0 && waiting.next < rays.len() {
+                let count = launch(
+                    kernel, &ask, &mut waiting, answers, &file, &start, &mut flying, stacks, &ground[..grounded], &mut queues, counters,
+                );
+                grounded -= count;
+            }
+            if grounded == RAYS {
+                break;
+            }
+            let (those, count) = queues.take(Step::Inner);
+            inners += count as u64;
+            for &i in &those[..count] {
+                let step = inner(kernel, &mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                queues.push(step, i);
+            }
+            let (those, count) = queues.take(Step::Brick);
+            for &i in &those[..count] {
+                let (ray, stack) = (&mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                let step = brick(kernel, &file, ray, stack, counters)?;
+                queues.push(step, i);
+            }
+            let (those, count) = queues.take(Step::Leaf);
+            for &i in &those[..count] {
+                let (ray, stack) = (&mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                let step = leaf(kernel, &file, ray, stack, counters);
+                queues.push(step, i);
+            }
+            let (those, count) = queues.take(Step::Hit);
+            for &i in &those[..count] {
+                let (ray, stack) = (&mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                let step = hit(kernel, ray, stack, counters);
+                queues.push(step, i);
+            }
+            let (those, count) = queues.take(Step::Back);
+            for &i in &those[..count] {
+                let step = back(kernel, top, &mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                queues.push(step, i);
+            }
+            let ended = usize::from(queues.counts[Step::End as usize]);
+            if ended >= LANES || ended + grounded == RAYS {
+                let (those, count) = queues.take(Step::End);
+                for those in those[..count].chunks(LANES) {
+                    let mut places = [0; LANES];
+                    let mut ended = [Ray::new([0.0; 3], [0.0; 3]); LANES];
+                    let collectors: [A::Collector<'_>; LANES] = std::array::from_fn(|k| {
+                        let Some(&i) = those.get(k) else { return A::idle() };
+                        let ray = &mut flying[usize::from(i) % RAYS];
+                        (places[k], ended[k]) = (ray.place, ray.ray);
+                        std::mem::replace(&mut ray.collector, A::idle())
+                    });
+                    let count = those.len();
+                    A::end(kernel, &ended[..count], &collectors[..count], |k, answer| answers[places[k]] = answer);
                 }
-                let (ended, collector) = (std::slice::from_ref(&ray.ray), std::slice::from_ref(&ray.collector));
-                A::end(kernel, ended, collector, |_, answer| answers[ray.place] = answer);
-                if !launch(kernel, &ask, rays, answers, &mut next, &file, &start, ray, counters) {
-                    // The last one takes this place.
-                    aloft -= 1;
-                    flying.swap(i, aloft);
+                for &i in &those[..count] {
+                    ground[grounded % RAYS] = i;
+                    grounded += 1;
                 }
             }
         }
+        counters.nodes += inners;
         Ok(())
     }
 }
 
-/// Takes up the next ray that is worth it; false if there is none left.
+/// Rays not yet launched.
+struct Waiting<'w> {
+    rays: &'w [Ray],
+    next: usize,
+}
+
+/// Takes up to sixteen rays from the ground, the last ones of `ground`; how many.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "the state of a batch")]
 fn launch<'a, K: Kernel, A: Ask>(
     kernel: K,
     ask: &A,
-    rays: &[Ray],
+    waiting: &mut Waiting<'_>,
     answers: &mut [A::Answer],
-    next: &mut usize,
     file: &File<'a>,
     start: &Start<'a>,
-    flying: &mut Flying<'a, A::Collector<'a>>,
+    flying: &mut [Flying<'a, K, A::Collector<'a>>; RAYS],
+    stacks: &mut Stacks,
+    ground: &[u8],
+    queues: &mut Queues,
     counters: &mut Counters,
-) -> bool {
-    while let Some(ray) = rays.get(*next) {
-        let place = *next;
-        *next += 1;
-        if !flying.setup.aim(kernel, ray, file.scene) {
+) -> usize {
+    let mut launched = 0;
+    let mut those = [0; LANES];
+    while launched < LANES.min(ground.len()) && waiting.next < waiting.rays.len() {
+        let place = waiting.next;
+        waiting.next += 1;
+        let (i, ray) = (ground[ground.len() - 1 - launched], &waiting.rays[place]);
+        let aloft = &mut flying[usize::from(i) % RAYS];
+        if !aloft.setup.aim(kernel, ray, file.scene) {
             answers[place] = A::NOTHING;
             continue;
         }
-        let setup = &flying.setup;
+        (aloft.ray, aloft.place) = (*ray, place);
+        let setup = &aloft.setup;
         let frame = kernel.frame(&start.cell, &setup.aim, &setup.way);
-        let (left, near) = kernel.touch(start.view.node(0), frame, &setup.way, setup.far);
-        kernel.save(&mut flying.saved, frame, near);
+        let (left, near) = kernel.touch(start.view.node(0), frame, &setup.way, kernel.ends(setup.way.near, setup.far));
         counters.nodes += 1;
         counters.bricks += u64::from(start.view.page.is_some());
-        flying.far = setup.far;
-        flying.view = start.view;
-        (flying.node, flying.left, flying.top, flying.sheared, flying.leaf) = (0, left, 0, false, None);
-        (flying.ray, flying.place, flying.collector) = (*ray, place, ask.begin(place, ray));
-        return true;
+        if left == 0 {
+            answers[place] = A::NOTHING;
+            continue;
+        }
+        let [end, root, ..] = &mut stacks[usize::from(i) % RAYS].levels;
+        (end.left, end.page) = (0, start.view.number);
+        kernel.save(&mut root.saved, frame, near);
+        (root.node, root.page, root.left) = (0, start.view.number, left);
+        aloft.ends = kernel.ends(setup.way.near, setup.far);
+        (aloft.far, aloft.top, aloft.nodes, aloft.view) = (setup.far, 1, start.view.nodes, start.view);
+        queues.push(step(start.view.node(0), left, setup.way.order), i);
+        those[launched] = i;
+        launched += 1;
     }
-    false
+    for &i in &those[..launched] {
+        let aloft = &mut flying[usize::from(i) % RAYS];
+        aloft.collector = ask.begin(aloft.place, &aloft.ray);
+        aloft.shear = Shear::new(&aloft.ray, file.scene.bounds);
+    }
+    launched
 }
 
-/// One step of a ray; false if it was its last.
+/// What the first slot that is left of a node needs.
 #[inline(always)]
-fn step<'a, K: Kernel, C: Collector<'a>>(
+fn step(node: &Node, left: u32, order: u8) -> Step {
+    let slot = (left.trailing_zeros() as u8 ^ order) & 7;
+    // By arithmetic alone: as a branch this would be foreseen wrongly at every other node.
+    STEPS[usize::from(node.slots[usize::from(slot)]) | usize::from(left == 0) << 8]
+}
+
+/// A node; an empty one where there is none of that number.
+#[inline(always)]
+fn node(nodes: &[Node], index: u32) -> &Node {
+    nodes.get(index as usize).unwrap_or(&Node::EMPTY)
+}
+
+/// Goes into the next slot, an inner node.
+#[inline(always)]
+fn inner<C, K: Kernel>(kernel: K, aloft: &mut Flying<'_, K, C>, stack: &mut [Level; DEPTH]) -> Step {
+    let way = &aloft.setup.way;
+    let top = aloft.top as usize % DEPTH;
+    let level = &mut stack[top];
+    let parent = node(aloft.nodes, level.node);
+    let slot = usize::from((level.left.trailing_zeros() as u8 ^ way.order) & 7);
+    level.left &= level.left.wrapping_sub(1);
+    let (frame, _) = kernel.load(&level.saved);
+    let frame = kernel.child(frame, parent, slot, way);
+    let index = level.node.wrapping_add(parent.first_child).wrapping_add(u32::from(parent.slots[slot] & 7));
+    let page = level.page;
+    // Where nothing is left the level is not come back to.
+    let top = (top + usize::from(level.left != 0)) % DEPTH;
+    let child = node(aloft.nodes, index);
+    let (left, near) = kernel.touch(child, frame, way, aloft.ends);
+    let level = &mut stack[top];
+    kernel.save(&mut level.saved, frame, near);
+    (level.node, level.page, level.left) = (index, page, left);
+    aloft.top = top as u32;
+    step(child, left, way.order)
+}
+
+/// Enters the next slot's page.
+#[inline(always)]
+fn brick<'a, C, K: Kernel>(
     kernel: K,
     file: &File<'a>,
-    flying: &mut Flying<'a, C>,
-    stack: &mut [Level; LEVELS],
+    aloft: &mut Flying<'a, K, C>,
+    stack: &mut [Level; DEPTH],
     counters: &mut Counters,
-) -> Result<bool> {
-    let Flying {
-        saved, setup, shear, depths, view, node: index, left, top, far, sheared, leaf, ray, collector, ..
-    } = flying;
+) -> Result<Step> {
+    let Setup { way, aim, .. } = &aloft.setup;
+    let top = aloft.top as usize % DEPTH;
+    let level = &mut stack[top];
+    let parent = node(aloft.nodes, level.node);
+    let slot = usize::from((level.left.trailing_zeros() as u8 ^ way.order) & 7);
+    level.left &= level.left.wrapping_sub(1);
+    let number = parent.first_leaf.wrapping_add(u32::from(parent.slots[slot] & 0x3f));
+    let (Some(brick), TOP) = (file.brick(number), level.page) else { return Ok(step(parent, level.left, way.order)) };
+    let top = (top + usize::from(level.left != 0)) % DEPTH;
+    counters.bricks += 1;
+    counters.nodes += 1;
+    aloft.view = file.view(number)?;
+    aloft.nodes = aloft.view.nodes;
+    let frame = kernel.frame(&cell_of(brick), aim, way);
+    let child = node(aloft.nodes, 0);
+    let (left, near) = kernel.touch(child, frame, way, aloft.ends);
+    let level = &mut stack[top];
+    kernel.save(&mut level.saved, frame, near);
+    (level.node, level.page, level.left) = (0, number, left);
+    aloft.top = top as u32;
+    Ok(step(child, left, way.order))
+}
+
+/// Tests the triangles of the next slot's leaf.
+#[inline(always)]
+fn leaf<'a, C: Collector<'a>, K: Kernel>(
+    kernel: K,
+    file: &File<'a>,
+    aloft: &mut Flying<'a, K, C>,
+    stack: &mut [Level; DEPTH],
+    counters: &mut Counters,
+) -> Step {
+    let order = aloft.setup.way.order;
+    let level = &mut stack[aloft.top as usize % DEPTH];
+    let parent = node(aloft.nodes, level.node);
+    let slot = usize::from((level.left.trailing_zeros() as u8 ^ order) & 7);
+    level.left &= level.left.wrapping_sub(1);
+    let next = step(parent, level.left, order);
+    let Some(stored) = file.stored(&aloft.view, level.node, parent, parent.slots[slot], counters) else { return next };
+    let range = range(&aloft.ray, &aloft.collector);
+    let lanes = kernel.classify(&stored.leaf, &aloft.shear, range, &mut aloft.depths);
+    aloft.leaf = Some((stored, lanes));
+    if lanes.accept | lanes.doubt != 0 { Step::Hit } else { next }
+}
+
+/// Takes the hits of the leaf that was tested last.
+#[inline(always)]
+fn hit<'a, C: Collector<'a>, K: Kernel>(
+    kernel: K,
+    aloft: &mut Flying<'a, K, C>,
+    stack: &mut [Level; DEPTH],
+    counters: &mut Counters,
+) -> Step {
+    let Flying { setup, far, ends, nodes, depths, leaf, ray, collector, .. } = aloft;
+    let level = &mut stack[aloft.top as usize % DEPTH];
     if let Some((stored, lanes)) = leaf.take() {
         match take(&stored, lanes, ray, setup, depths, far, collector, counters) {
             Next::On => {}
-            Next::Nearer => *left &= kernel.within(kernel.load(saved).1, *far),
-            Next::Done => return Ok(false),
-        }
-    }
-    while *left == 0 {
-        if *top == 0 {
-            return Ok(false);
-        }
-        *top -= 1;
-        let level = &stack[*top];
-        let (_, near) = kernel.load(&level.saved);
-        *left = level.left & kernel.within(near, *far);
-        if *left != 0 {
-            *saved = level.saved;
-            *index = level.node;
-            if level.page != view.number {
-                *view = file.view(level.page)?;
+            Next::Nearer => {
+                level.left &= kernel.within(kernel.load(&level.saved).1, *far);
+                *ends = kernel.ends(setup.way.near, *far);
             }
+            Next::Done => return Step::End,
         }
     }
-    let node = view.node(*index);
-    let slot = (left.trailing_zeros() & 7) as usize ^ usize::from(setup.way.order & 7);
-    *left &= *left - 1;
-    let byte = node.slots[slot];
-    if byte < EMPTY {
-        let Some(stored) = file.stored(view, *index, node, byte, counters) else { return Ok(true) };
-        if !*sheared {
-            *sheared = true;
-            *shear = Shear::new(ray, file.scene.bounds);
-        }
-        let lanes = kernel.classify(&stored.leaf, shear, range(ray, collector), depths);
-        if lanes.accept | lanes.doubt != 0 {
-            *leaf = Some((stored, lanes));
-        }
-        return Ok(true);
-    }
-    let (frame, near) = kernel.load(saved);
-    let frame = if byte & 0xc0 == INNER && node.first_child != 0 {
-        if *left != 0 {
-            *top = keep(kernel, stack, *top, (frame, near), [*index, view.number, *left]);
-        }
-        *index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
-        kernel.child(frame, node, slot, &setup.way)
-    } else if byte & BRICK == BRICK && view.page.is_none() {
-        let number = node.first_leaf.wrapping_add(u32::from(byte & 0x3f));
-        let Some(brick) = file.brick(number) else { return Ok(true) };
-        if *left != 0 {
-            *top = keep(kernel, stack, *top, (frame, near), [*index, TOP, *left]);
-        }
-        counters.bricks += 1;
-        *view = file.view(number)?;
-        *index = 0;
-        kernel.frame(&cell_of(brick), &setup.aim, &setup.way)
-    } else {
-        return Ok(true);
-    };
-    counters.nodes += 1;
-    let (touched, near) = kernel.touch(view.node(*index), frame, &setup.way, *far);
-    *left = touched;
-    kernel.save(saved, frame, near);
-    Ok(true)
+    step(node(nodes, level.node), level.left, setup.way.order)
+}
+
+/// Comes back to a node put aside before, or passes over an empty slot.
+#[inline(always)]
+fn back<'a, C, K: Kernel>(
+    kernel: K,
+    top_nodes: &'a [Node],
+    aloft: &mut Flying<'a, K, C>,
+    stack: &mut [Level; DEPTH],
+) -> Step {
+    let top = aloft.top as usize % DEPTH;
+    let rest = stack[top].left & stack[top].left.wrapping_sub(1);
+    let top = top.wrapping_sub(usize::from(rest == 0)) % DEPTH;
+    let level = &mut stack[top];
+    let left = if rest == 0 { level.left } else { rest };
+    let (_, near) = kernel.load(&level.saved);
+    level.left = left & kernel.within(near, aloft.far);
+    // A page's levels follow upon each other, so this one is of the page entered last, or of the top.
+    aloft.nodes = if level.page == TOP { top_nodes } else { aloft.view.nodes };
+    aloft.top = top as u32;
+    let next = step(node(aloft.nodes, level.node), level.left, aloft.setup.way.order);
+    if top == 0 { Step::End } else { next }
 }

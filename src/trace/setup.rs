@@ -208,7 +208,7 @@ impl Setup {
         // pad is below 2^-41, so far below eps (L + 8) that the kernel's constant 3.01 in place of 3 covers it, and its own roundings.
         if kernel.aim(ray, &scene.fit, &mut self.way, &mut self.aim) {
             // A t that rounds into [tmin, tmax] lies at most one f32 step outside.
-            self.way.order = self.way.mask ^ scene.turn;
+            self.way.visit(scene.turn);
             self.way.near = ray.tmin.next_down();
             self.far = ray.tmax.next_up();
             self.plain = true;
@@ -258,7 +258,7 @@ impl Setup {
         let tau0 = lesser(greater(0.0, enter), exit);
         let way = &mut self.way;
         way.mask = u8::from(inv[0] < 0.0) << 2 | u8::from(inv[1] < 0.0) << 1 | u8::from(inv[2] < 0.0);
-        way.order = way.mask ^ scene.turn;
+        way.visit(scene.turn);
         way.near = ((enter - tau0) as f32).next_down();
         self.far = ((exit - tau0) as f32).next_up();
         (self.scale, self.tau0, self.pad) = (scale, start.tau + tau0, PAD * (distance + 2.0));
@@ -274,7 +274,8 @@ impl Setup {
             self.aim.inv[i] = inv;
             self.aim.slack[i] = slack;
             way.slack[i] = 2.0 * slack;
-            way.least[i] = inv * Frame::LEAST_UNIT as f32;
+            let least = inv * Frame::LEAST_UNIT as f32;
+            (way.least[0][i], way.least[1][i], way.least[2][i], way.least[3][i]) = (least, least, -least, -least);
         }
         true
     }

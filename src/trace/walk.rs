@@ -32,7 +32,7 @@ pub(super) const LEVELS: usize = 2 * DEPTH_MAX as usize;
 
 /// A node put aside, with slots left to visit.
 #[derive(Clone, Copy, Zeroable)]
-#[repr(C, align(32))]
+#[repr(C, align(64))]
 pub(super) struct Level {
     pub saved: Saved,
     pub node: u32,
@@ -116,6 +116,7 @@ impl<'a> File<'a> {
         let mask = usize::from(sight.setup.way.order & 7);
         // The parameter beyond which nothing matters.
         let mut far = sight.setup.far;
+        let mut ends = kernel.ends(sight.setup.way.near, far);
         let (mut nodes, mut bricks) = (0, u64::from(view.page.is_some()));
         // The node under way, the frame and the entries of its slots, and those left to visit.
         let (mut top, mut index) = (0, 0);
@@ -144,7 +145,10 @@ impl<'a> File<'a> {
                 let Some(stored) = self.stored(&view, index, node, byte, counters) else { continue };
                 match collector.leaf(kernel, &stored, ray, sight, depths, &mut far, counters) {
                     Next::On => {}
-                    Next::Nearer => left &= kernel.within(near, far),
+                    Next::Nearer => {
+                        left &= kernel.within(near, far);
+                        ends = kernel.ends(sight.setup.way.near, far);
+                    }
                     Next::Done => break 'walk,
                 }
                 continue;
@@ -170,7 +174,7 @@ impl<'a> File<'a> {
             }
             node = view.node(index);
             nodes += 1;
-            (left, near) = kernel.touch(node, frame, &sight.setup.way, far);
+            (left, near) = kernel.touch(node, frame, &sight.setup.way, ends);
         }
         counters.nodes += nodes;
         counters.bricks += bricks;

@@ -110,7 +110,7 @@ unsafe fn axis<const I: i32>(node: &Node, frame: Frame, way: &Way, order: __m128
 /// # Safety
 /// AVX2 and FMA must be there.
 #[inline(always)]
-unsafe fn touch(node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
+unsafe fn touch(node: &Node, frame: Frame, way: &Way, [begin, far]: [f32; 2]) -> (u32, __m256) {
     // SAFETY: the caller vouches for the instructions.
     unsafe {
         let order = _mm_loadl_epi64(ORDER[usize::from(way.order & 7)].as_ptr().cast());
@@ -118,7 +118,7 @@ unsafe fn touch(node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256)
         let [y0, y1] = axis::<1>(node, frame, way, order);
         let [z0, z1] = axis::<2>(node, frame, way, order);
         // Where an operand is NaN the second is the result: at worst a plane binds nothing, and the ray's own ends always do.
-        let near = _mm256_max_ps(_mm256_max_ps(y0, z0), _mm256_max_ps(x0, _mm256_set1_ps(way.near)));
+        let near = _mm256_max_ps(_mm256_max_ps(y0, z0), _mm256_max_ps(x0, _mm256_set1_ps(begin)));
         let last = _mm256_min_ps(_mm256_min_ps(y1, z1), _mm256_min_ps(x1, _mm256_set1_ps(far)));
         (_mm256_movemask_ps(_mm256_cmp_ps::<_CMP_LE_OQ>(near, last)) as u32, near)
     }
@@ -172,7 +172,10 @@ pub(super) unsafe fn aim(ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> 
         _mm_storeu_ps(aim.inv.as_mut_ptr(), inv);
         _mm_storeu_ps(aim.slack.as_mut_ptr(), slack);
         _mm_storeu_ps(way.slack.as_mut_ptr(), _mm_add_ps(slack, slack));
-        _mm_storeu_ps(way.least.as_mut_ptr(), unit);
+        let less = _mm_xor_ps(unit, sign);
+        for (least, unit) in way.least.iter_mut().zip([unit, unit, less, less]) {
+            _mm_storeu_ps(least.as_mut_ptr(), unit);
+        }
         // Bits x, y, z from the lowest on; the mask has x highest.
         const MIRROR: [u8; 8] = [0, 4, 2, 6, 1, 5, 3, 7];
         way.mask = MIRROR[(_mm_movemask_ps(d) & 7) as usize];
@@ -245,7 +248,7 @@ unsafe fn child(frame: Frame, low: __m128i, high: __m128i, way: &Way) -> Frame {
         let shrink = _mm_castsi128_ps(_mm_sub_epi32(power, _mm_set1_epi32(7 << 23)));
         let dt = _mm_mul_ps(frame.dt, shrink);
         // The larger magnitude; both have the ray's sign.
-        let (least, sign) = (_mm_load_ps(way.least.as_ptr()), _mm_set1_ps(-0.0));
+        let (least, sign) = (_mm_load_ps(way.least[0].as_ptr()), _mm_set1_ps(-0.0));
         let magnitude = _mm_max_ps(_mm_andnot_ps(sign, dt), _mm_andnot_ps(sign, least));
         let dt = _mm_or_ps(magnitude, _mm_and_ps(sign, least));
         Frame { begin: _mm_fmadd_ps(_mm_cvtepi32_ps(low), frame.dt, frame.begin), dt }
@@ -255,6 +258,7 @@ unsafe fn child(frame: Frame, low: __m128i, high: __m128i, way: &Way) -> Frame {
 impl Kernel for Avx2 {
     type Frame = Frame;
     type Near = __m256;
+    type Ends = [f32; 2];
 
     #[inline(always)]
     fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, to: &mut Aim) -> bool {
@@ -282,9 +286,14 @@ impl Kernel for Avx2 {
     }
 
     #[inline(always)]
-    fn touch(self, node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
+    fn ends(self, near: f32, far: f32) -> [f32; 2] {
+        [near, far]
+    }
+
+    #[inline(always)]
+    fn touch(self, node: &Node, frame: Frame, way: &Way, ends: [f32; 2]) -> (u32, __m256) {
         // SAFETY: `self` is proof.
-        unsafe { touch(node, frame, way, far) }
+        unsafe { touch(node, frame, way, ends) }
     }
 
     #[inline(always)]

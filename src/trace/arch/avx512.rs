@@ -2,6 +2,7 @@
 
 mod rough;
 
+use std::arch::asm;
 use std::arch::x86_64::*;
 
 use super::{Aim, Block, Cell, Fit, Job, Kernel, Rough, Rounded, Saved, Way, avx2, round, scalar};
@@ -75,6 +76,30 @@ type Frame = __m512;
 /// The lanes of a frame that hold dt and -dt.
 const STEPS: u16 = 0xf0f0;
 
+/// A constant index whose value the compiler does not see: it would make two shuffles of a permutation by it.
+///
+/// # Safety
+/// AVX-512 must be there.
+#[inline]
+#[target_feature(enable = "avx512f")]
+unsafe fn opaque(mut index: __m512i) -> __m512i {
+    // SAFETY: no instruction at all.
+    unsafe { asm!("/* {} */", inout(zmm_reg) index, options(pure, nomem, nostack, preserves_flags)) };
+    index
+}
+
+/// A constant mask likewise: it would take the bytes first and clear the others after.
+///
+/// # Safety
+/// AVX-512 must be there.
+#[inline]
+#[target_feature(enable = "avx512bw")]
+unsafe fn opaque_mask(mut mask: u64) -> u64 {
+    // SAFETY: no instruction at all.
+    unsafe { asm!("/* {} */", inout(kreg) mask, options(pure, nomem, nostack, preserves_flags)) };
+    mask
+}
+
 /// The planes of one axis by which slots are entered, and those by which they are left.
 ///
 /// # Safety
@@ -83,10 +108,8 @@ const STEPS: u16 = 0xf0f0;
 unsafe fn planes<const I: i32>(node: __m512i, way: &Way) -> __m512 {
     // SAFETY: the caller vouches for the instructions; the index is 64 bytes, aligned.
     unsafe {
-        let backward = (way.mask ^ way.order) & 1;
-        let order = &ORDER[usize::from(way.mask & 7 | backward << 3)][I as usize];
-        let order = _mm512_load_si512(order.0.as_ptr().cast());
-        _mm512_cvtepi32_ps(_mm512_maskz_permutexvar_epi8(FIRST, order, node))
+        let order = _mm512_load_si512(ORDER[usize::from(way.row & 15)][I as usize].0.as_ptr().cast());
+        _mm512_cvtepi32_ps(_mm512_maskz_permutexvar_epi8(opaque_mask(FIRST), order, node))
     }
 }
 
@@ -101,13 +124,21 @@ unsafe fn axis<const I: i32>(node: __m512i, frame: Frame, way: &Way) -> __m512 {
         let plane = planes::<I>(node, way);
         let begin = _mm512_mask_mov_epi32(_mm512_set1_epi32(I), 0xff00, _mm512_set1_epi32(8 + I));
         let dt = _mm512_mask_mov_epi32(_mm512_set1_epi32(4 + I), 0xff00, _mm512_set1_epi32(12 + I));
-        _mm512_fmadd_ps(plane, _mm512_permutexvar_ps(dt, frame), _mm512_permutexvar_ps(begin, frame))
+        _mm512_fmadd_ps(plane, _mm512_permutexvar_ps(opaque(dt), frame), _mm512_permutexvar_ps(opaque(begin), frame))
     }
 }
 
 impl Kernel for Avx512 {
     type Frame = Frame;
     type Near = __m256;
+    /// Eight times near, then eight times -far.
+    type Ends = __m512;
+
+    #[inline(always)]
+    fn ends(self, near: f32, far: f32) -> __m512 {
+        // SAFETY: `self` is proof.
+        unsafe { _mm512_mask_mov_ps(_mm512_set1_ps(near), 0xff00, _mm512_set1_ps(-far)) }
+    }
 
     #[inline(always)]
     fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool {
@@ -142,12 +173,11 @@ impl Kernel for Avx512 {
     }
 
     #[inline(always)]
-    fn touch(self, node: &Node, frame: Frame, way: &Way, far: f32) -> (u32, __m256) {
+    fn touch(self, node: &Node, frame: Frame, way: &Way, ends: __m512) -> (u32, __m256) {
         // SAFETY: `self` is proof. A node is 64 bytes.
         unsafe {
             let node = _mm512_loadu_si512(std::ptr::from_ref(node).cast());
             let (x, y, z) = (axis::<0>(node, frame, way), axis::<1>(node, frame, way), axis::<2>(node, frame, way));
-            let ends = _mm512_mask_mov_ps(_mm512_set1_ps(way.near), 0xff00, _mm512_set1_ps(-far));
             // Where an operand is NaN the second is the result: at worst a plane binds nothing, and the ray's own ends always do.
             let bounds = _mm512_max_ps(_mm512_max_ps(y, z), _mm512_max_ps(x, ends));
             let near = _mm512_castps512_ps256(bounds);
@@ -181,16 +211,15 @@ impl Kernel for Avx512 {
             let low = _mm512_add_epi8(low, _mm512_set1_epi8(slot as i8 & 7));
             let high = _mm512_add_epi8(low, _mm512_set1_epi8(24));
             const XYZ: u64 = 0x0111_0111_0111_0111;
-            let low = _mm512_maskz_permutexvar_epi8(XYZ, low, bytes);
-            let high = _mm512_maskz_permutexvar_epi8(XYZ, high, bytes);
+            let mask = opaque_mask(XYZ);
+            let low = _mm512_maskz_permutexvar_epi8(mask, low, bytes);
+            let high = _mm512_maskz_permutexvar_epi8(mask, high, bytes);
             // dt times 2^(floor(log2(high - low)) - 7), by its exponent: dt is normal, and so is 2^-7 of the smallest. floor(log2(x)) is 31
             // less the leading zeros.
             let zeros = _mm512_slli_epi32::<23>(_mm512_lzcnt_epi32(_mm512_sub_epi32(high, low)));
             let step = _mm512_add_epi32(_mm512_castps_si512(frame), _mm512_set1_epi32(24 << 23));
             // The larger magnitude: signs agree.
-            let least = _mm512_broadcast_f32x4(_mm_loadu_ps(way.least.as_ptr()));
-            let sign = _mm512_set1_ps(-0.0);
-            let least = _mm512_castps_si512(_mm512_mask_xor_ps(least, 0xff00, least, sign));
+            let least = _mm512_loadu_si512(way.least.as_ptr().cast());
             let step = _mm512_castsi512_ps(_mm512_max_epu32(_mm512_sub_epi32(step, zeros), least));
             // dt beside begin, -dt beside -end.
             let dt = _mm512_shuffle_f32x4::<0b11_11_01_01>(frame, frame);

@@ -73,16 +73,27 @@ pub(super) struct Planes {
 #[derive(Clone, Copy, Debug, Default, bytemuck::Zeroable)]
 #[repr(C, align(16))]
 pub(super) struct Way {
-    /// 2^-32 in parameter units: dt of the smallest frame.
-    pub least: [f32; 4],
+    /// 2^-32 in parameter units: dt of the smallest frame. Twice, then negated twice.
+    pub least: [[f32; 4]; 4],
     /// Twice the setup's slack.
     pub slack: [f32; 4],
     /// The direction mask a: bit 2 - i set where axis i is traversed downwards.
     pub mask: u8,
     /// Slots are visited as i XOR this: a for near to far, its complement for far to near.
     pub order: u8,
+    /// Both in one number: a, plus 8 for far to near.
+    pub row: u8,
     /// The parameter at which the ray begins.
     pub near: f32,
+}
+
+impl Way {
+    /// Sets the order of visits: `turn` is 0 for near to far, 7 for far to near.
+    #[inline(always)]
+    pub fn visit(&mut self, turn: u8) {
+        self.order = self.mask ^ turn;
+        self.row = self.mask & 7 | (turn & 1) << 3;
+    }
 }
 
 /// How far a plain ray's origin may be from the root, in root sizes.
@@ -95,9 +106,9 @@ pub(super) const MODERATE: [f32; 2] = [1.0 / (1u64 << 40) as f32, (1u64 << 40) a
 #[derive(Clone, Copy, Debug, bytemuck::Zeroable)]
 #[repr(C, align(32))]
 pub(super) struct Saved {
-    near: [f32; 8],
-    /// As the kernel has it.
+    /// As the kernel has it. First, so that it lies in one cache line where this begins with one.
     frame: [f32; 16],
+    near: [f32; 8],
 }
 
 /// Hits whose t, u and v are wanted: triangles, and the rays that are known to hit them; entry i of each axis belongs to hit i.
@@ -127,6 +138,8 @@ pub(super) trait Kernel: Wide {
     type Frame: Copy;
     /// Eight lower bounds, in the order of visits: entry i stands for slot i XOR a.
     type Near: Copy;
+    /// The parameters between which a ray counts.
+    type Ends: Copy;
 
     /// Aims a plain ray: sets all of `aim`, and of `way` what belongs to a direction. False, and nothing of use set, if the ray
     /// is not plain or hits nothing whatever.
@@ -137,9 +150,11 @@ pub(super) trait Kernel: Wide {
     fn save(self, saved: &mut Saved, frame: Self::Frame, near: Self::Near);
     /// Takes a node up again.
     fn load(self, saved: &Saved) -> (Self::Frame, Self::Near);
-    /// Which slots the ray touches between `way.near` and `far`, a bit an entry in the order of visits, and where they are
+    /// The parameters `near` and `far`.
+    fn ends(self, near: f32, far: f32) -> Self::Ends;
+    /// Which slots the ray touches between its ends, a bit an entry in the order of visits, and where they are
     /// entered. Empty slots are left to the caller.
-    fn touch(self, node: &Node, frame: Self::Frame, way: &Way, far: f32) -> (u32, Self::Near);
+    fn touch(self, node: &Node, frame: Self::Frame, way: &Way, ends: Self::Ends) -> (u32, Self::Near);
     /// For each axis the planes by which slots are entered, in the order of visits, and behind these eight those by which they are
     /// left, in units of the node's frame.
     fn planes(self, node: &Node, way: &Way) -> [Self::Floats; 3];

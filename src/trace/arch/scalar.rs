@@ -16,6 +16,7 @@ pub(super) struct Scalar;
 impl Kernel for Scalar {
     type Frame = Planes;
     type Near = [f32; 8];
+    type Ends = [f32; 2];
 
     #[inline(always)]
     fn aim(self, ray: &Ray, fit: &Fit, way: &mut Way, aim: &mut Aim) -> bool {
@@ -29,7 +30,8 @@ impl Kernel for Scalar {
             let slack = inv.abs() * (fit.rounding * (p.abs() as f32 + 3.01));
             (aim.origin[i], aim.inv[i], aim.slack[i]) = (p, inv, slack);
             way.slack[i] = 2.0 * slack;
-            way.least[i] = inv * Frame::LEAST_UNIT as f32;
+            let least = inv * Frame::LEAST_UNIT as f32;
+            (way.least[0][i], way.least[1][i], way.least[2][i], way.least[3][i]) = (least, least, -least, -least);
             mask = mask << 1 | u8::from(d < 0.0);
         }
         way.mask = mask;
@@ -60,10 +62,15 @@ impl Kernel for Scalar {
         (Planes { begin: four(0), dt: four(4) }, saved.near)
     }
 
+    #[inline(always)]
+    fn ends(self, near: f32, far: f32) -> [f32; 2] {
+        [near, far]
+    }
+
     /// Maxima and minima are comparisons that keep the bound in place where a value is NaN.
     #[inline(always)]
-    fn touch(self, node: &Node, planes: Planes, way: &Way, far: f32) -> (u32, [f32; 8]) {
-        let mut near = [way.near; 8];
+    fn touch(self, node: &Node, planes: Planes, way: &Way, [begin, far]: [f32; 2]) -> (u32, [f32; 8]) {
+        let mut near = [begin; 8];
         let mut last = [far; 8];
         for axis in 0..3 {
             let down = way.mask & (4 >> axis) != 0;
@@ -111,7 +118,7 @@ impl Kernel for Scalar {
             child.begin[axis] += f32::from(low) * planes.dt[axis];
             // A power of two times dt: exact.
             let dt = planes.dt[axis] * Frame::shrink(low, high) as f32;
-            child.dt[axis] = if dt.abs() < way.least[axis].abs() { way.least[axis] } else { dt };
+            child.dt[axis] = if dt.abs() < way.least[0][axis].abs() { way.least[0][axis] } else { dt };
         }
         child
     }

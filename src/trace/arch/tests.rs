@@ -29,11 +29,11 @@ impl Job for Nodes<'_> {
         let (mut way, mut aim) = (Way::default(), Aim::default());
         let plain = kernel.aim(self.ray, self.fit, &mut way, &mut aim);
         way.near = self.ray.tmin;
-        way.order = way.mask ^ self.turn;
+        way.visit(self.turn);
         let frame = kernel.frame(self.cell, &aim, &way);
         let mut saved = Saved::zeroed();
         let mut touch = |frame, node| {
-            let (slots, near) = kernel.touch(node, frame, &way, self.far);
+            let (slots, near) = kernel.touch(node, frame, &way, kernel.ends(way.near, self.far));
             kernel.save(&mut saved, frame, near);
             assert_eq!(kernel.within(kernel.load(&saved).1, f32::INFINITY), 0xff);
             (slots, saved.near)
@@ -113,7 +113,7 @@ proptest! {
         for isa in Isa::available() {
             let (plain, w, a, touched) = look(&fit, isa);
             prop_assert!(plain);
-            prop_assert_eq!((w.mask, &w.least[..3], &w.slack[..3]), (way.mask, &way.least[..3], &way.slack[..3]));
+            prop_assert_eq!((w.mask, w.least.map(|l| [l[0], l[1], l[2]]), &w.slack[..3]), (way.mask, way.least.map(|l| [l[0], l[1], l[2]]), &way.slack[..3]));
             prop_assert_eq!((&a.origin[..3], &a.inv[..3], &a.slack[..3]), (&aim.origin[..3], &aim.inv[..3], &aim.slack[..3]));
             let close = 1e-5 * side * aim.inv.iter().take(3).fold(0f32, |m, x| m.max(x.abs()));
             for ((_, near), (_, expected)) in touched.iter().zip(&expected) {

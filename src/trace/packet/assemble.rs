@@ -23,7 +23,7 @@ pub(super) fn assemble<K: Kernel>(
     if rays.len() < LEAST as usize || !kernel.aim(leader, fit, &mut way, &mut aim) {
         return None;
     }
-    way.order = way.mask ^ scene.turn;
+    way.visit(scene.turn);
     let d = leader.direction.map(f32::abs);
     let z = if d[0] > d[1] && d[0] > d[2] {
         0
