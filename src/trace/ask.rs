@@ -14,8 +14,8 @@ pub(super) trait Ask {
     type Answer;
     /// The answer where nothing is hit.
     const NOTHING: Self::Answer;
-    /// For ray `i` of those that are asked about.
-    fn begin<'a>(&self, i: usize, ray: &Ray) -> Self::Collector<'a>;
+    /// Makes a collector ready for ray `i` of those that are asked about.
+    fn begin(&self, i: usize, ray: &Ray, collector: &mut Self::Collector<'_>);
     /// Whether packets answer exactly; if not, as f32 alone has it, to measure what that costs.
     const EXACT: bool = true;
     /// Whether any hit will do.
@@ -87,8 +87,11 @@ impl Ask for Least<'_> {
     const NOTHING: Option<Found> = None;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: usize, ray: &Ray) -> Closest<'a> {
-        self.last.map_or_else(|| Closest::new(self.skip), |last| Closest::after(self.skip, &Line::new(ray), last))
+    fn begin(&self, _: usize, ray: &Ray, closest: &mut Closest<'_>) {
+        closest.begin(self.skip);
+        if let Some(last) = self.last {
+            closest.begin_after(&Line::new(ray), last);
+        }
     }
 
     #[inline(always)]
@@ -126,8 +129,8 @@ impl Ask for LeastHit {
     const NOTHING: Hit = Hit::MISS;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: usize, _: &Ray) -> Closest<'a> {
-        Closest::new(Skip::NONE)
+    fn begin(&self, _: usize, _: &Ray, closest: &mut Closest<'_>) {
+        closest.begin(Skip::NONE);
     }
 
     #[inline(always)]
@@ -166,8 +169,8 @@ impl Ask for LeastOfEach<'_> {
     const FIRST: bool = false;
 
     #[inline(always)]
-    fn begin<'a>(&self, i: usize, _: &Ray) -> Closest<'a> {
-        Closest::new(self.skip(i))
+    fn begin(&self, i: usize, _: &Ray, closest: &mut Closest<'_>) {
+        closest.begin(self.skip(i));
     }
 
     #[inline(always)]
@@ -201,8 +204,8 @@ impl Ask for WhetherEach<'_> {
     const FIRST: bool = true;
 
     #[inline(always)]
-    fn begin<'a>(&self, i: usize, _: &Ray) -> Any<'a> {
-        Any::new(self.skip(i))
+    fn begin(&self, i: usize, _: &Ray, any: &mut Any<'_>) {
+        *any = Any::new(self.skip(i));
     }
 
     #[inline(always)]
@@ -235,8 +238,8 @@ impl Ask for Whether {
     const NOTHING: bool = false;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: usize, _: &Ray) -> Any<'a> {
-        Any::new(self.0)
+    fn begin(&self, _: usize, _: &Ray, any: &mut Any<'_>) {
+        *any = Any::new(self.0);
     }
 
     #[inline(always)]

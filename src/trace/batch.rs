@@ -50,6 +50,7 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
         counters.rays += rays.len() as u64;
         let start = file.start()?;
         let mut depths = Depths::BLANK;
+        let mut collectors: [A::Collector<'_>; LANES] = std::array::from_fn(|_| A::idle());
         let mut first = 0;
         for (rays, answers) in rays.chunks(N).zip(answers.chunks_mut(N)) {
             let last = rays.len() - 1;
@@ -76,12 +77,9 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
                         live |= u32::from(left != 0) << count;
                         counters.nodes += 1;
                     }
+                    ask.begin(first + i, &those[count], &mut collectors[count]);
                     count += 1;
                 }
-                let mut collectors: [A::Collector<'_>; LANES] =
-                    std::array::from_fn(
-                        |k| if k < count { ask.begin(first + places[k], &those[k]) } else { A::idle() },
-                    );
                 let mut left = live;
                 while left != 0 {
                     let k = left.trailing_zeros() as usize % LANES;

@@ -189,10 +189,17 @@ impl<'a> Closest<'a> {
         Closest { skip, after: None, best: Best::None }
     }
 
-    /// The closest of those after `last`, a hit of the same line.
-    pub fn after(skip: Skip, line: &Line, last: &Found) -> Closest<'a> {
-        let after = line.accepted(&last.triangle).crossing.map(|crossing| (crossing, last.hit.face));
-        Closest { skip, after, best: Best::None }
+    /// Begins anew with another ray. What was there before is marked as gone, not overwritten, since this is made for every ray.
+    #[inline(always)]
+    pub fn begin(&mut self, skip: Skip) {
+        self.skip = skip;
+        self.after = None;
+        self.best = Best::None;
+    }
+
+    /// Leaves out what comes before `last`, a hit of the same line, and that.
+    pub fn begin_after(&mut self, line: &Line, last: &Found) {
+        self.after = line.accepted(&last.triangle).crossing.map(|crossing| (crossing, last.hit.face));
     }
 
     #[inline(always)]

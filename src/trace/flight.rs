@@ -1,9 +1,8 @@
 //! Many rays under way at once on one thread, sorted by the kind of step that each needs next.
 //!
-//! A single walk is one long chain of dependent steps, and what kind of step follows another (a node, a leaf, a node put aside before)
-//! is a coin's toss that the processor often guesses wrong. Here each ray stands in the queue of the step that it needs next, and a
-//! round goes over one queue after the other: within a queue all rays do the same, without a branch, and do not wait for each other, so
-//! that the processor works on several at once. What is loaded next is asked for when a ray joins a queue.
+//! A single walk is a chain of dependent steps; on a large file, among rays that have nothing to do with each other, each waits for memory. Here
+//! each ray stands in the queue of the step that it needs next, what that step will load is asked for when the ray joins the queue, and a
+//! round goes over one queue after the other. Within a queue all rays do the same, without a branch, so that many loads are under way.
 
 use std::cell::RefCell;
 
@@ -22,6 +21,9 @@ use crate::geometry::Ray;
 
 /// Rays under way at once; a power of two.
 const RAYS: usize = 32;
+
+/// From so many rays on a batch is worth preparing for.
+pub(super) const WORTHWHILE: usize = 4 * RAYS;
 
 /// A ray's stack; the last level in use is that of the node under way, and the first says that the walk is over. The odd size keeps the
 /// stacks of all rays from meeting in the same cache sets.
@@ -68,8 +70,9 @@ struct Flying<'a, K: Kernel, C> {
     view: View<'a>,
     shear: Shear,
     depths: Depths,
-    /// A leaf that was tested, and the filter's word on it.
-    leaf: Option<(Stored<'a>, Lanes)>,
+    /// The leaf that was found last, and the filter's word on its triangles.
+    leaf: Option<Stored<'a>>,
+    lanes: Lanes,
     ray: Ray,
     /// The ray's place in the batch.
     place: usize,
@@ -154,6 +157,7 @@ where
             shear: Shear::default(),
             depths: Depths::BLANK,
             leaf: None,
+            lanes: Lanes { accept: 0, doubt: 0 },
             ray: Ray::new([0.0; 3], [0.0; 3]),
             place: 0,
             collector: A::idle(),
@@ -168,40 +172,71 @@ where
             // Launch what can be launched, up to sixteen at once.
             while grounded > 0 && waiting.next < rays.len() {
                 let count = launch(
-                    kernel, &ask, &mut waiting, answers, &file, &start, &mut flying, stacks, &ground[..grounded], &mut queues, counters,
+                    kernel,
+                    &ask,
+                    &mut waiting,
+                    answers,
+                    &file,
+                    &start,
+                    &mut flying,
+                    stacks,
+                    &ground[..grounded],
+                    &mut queues,
+                    counters,
                 );
                 grounded -= count;
             }
             if grounded == RAYS {
                 break;
             }
-            let (those, count) = queues.take(Step::Inner);
+            // Into nodes: first where they lie and their frames, then, when they have come, which of their slots the rays touch.
+            let (mut those, mut count) = queues.take(Step::Inner);
+            for &i in &those[..count] {
+                descend(kernel, &mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+            }
+            let (entering, bricks) = queues.take(Step::Brick);
+            for &i in &entering[..bricks] {
+                let (ray, stack) = (&mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                if enter(kernel, &file, ray, stack)? {
+                    those[count % RAYS] = i;
+                    count += 1;
+                    counters.bricks += 1;
+                } else {
+                    queues.push(Step::Back, i);
+                }
+            }
             inners += count as u64;
             for &i in &those[..count] {
-                let step = inner(kernel, &mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                let step =
+                    touch(kernel, &file, &mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
                 queues.push(step, i);
             }
-            let (those, count) = queues.take(Step::Brick);
-            for &i in &those[..count] {
-                let (ray, stack) = (&mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
-                let step = brick(kernel, &file, ray, stack, counters)?;
-                queues.push(step, i);
-            }
+            // Leaves likewise.
             let (those, count) = queues.take(Step::Leaf);
             for &i in &those[..count] {
                 let (ray, stack) = (&mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
-                let step = leaf(kernel, &file, ray, stack, counters);
+                find(&file, ray, stack, counters);
+            }
+            for &i in &those[..count] {
+                let (ray, stack) = (&mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                let step = test(kernel, &file, ray, stack);
                 queues.push(step, i);
             }
             let (those, count) = queues.take(Step::Hit);
             for &i in &those[..count] {
                 let (ray, stack) = (&mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
-                let step = hit(kernel, ray, stack, counters);
+                let step = hit(kernel, &file, ray, stack, counters);
                 queues.push(step, i);
             }
             let (those, count) = queues.take(Step::Back);
             for &i in &those[..count] {
-                let step = back(kernel, top, &mut flying[usize::from(i) % RAYS], &mut stacks[usize::from(i) % RAYS].levels);
+                let step = back(
+                    kernel,
+                    &file,
+                    top,
+                    &mut flying[usize::from(i) % RAYS],
+                    &mut stacks[usize::from(i) % RAYS].levels,
+                );
                 queues.push(step, i);
             }
             let ended = usize::from(queues.counts[Step::End as usize]);
@@ -279,13 +314,13 @@ fn launch<'a, K: Kernel, A: Ask>(
         (root.node, root.page, root.left) = (0, start.view.number, left);
         aloft.ends = kernel.ends(setup.way.near, setup.far);
         (aloft.far, aloft.top, aloft.nodes, aloft.view) = (setup.far, 1, start.view.nodes, start.view);
-        queues.push(step(start.view.node(0), left, setup.way.order), i);
+        queues.push(step(kernel, file, start.view.node(0), left, setup.way.order), i);
         those[launched] = i;
         launched += 1;
     }
     for &i in &those[..launched] {
         let aloft = &mut flying[usize::from(i) % RAYS];
-        aloft.collector = ask.begin(aloft.place, &aloft.ray);
+        ask.begin(aloft.place, &aloft.ray, &mut aloft.collector);
         aloft.shear = Shear::new(&aloft.ray, file.scene.bounds);
     }
     launched
@@ -293,7 +328,8 @@ fn launch<'a, K: Kernel, A: Ask>(
 
 /// What the first slot that is left of a node needs.
 #[inline(always)]
-fn step(node: &Node, left: u32, order: u8) -> Step {
+fn step<K: Kernel>(kernel: K, file: &File<'_>, node: &Node, left: u32, order: u8) -> Step {
+    file.ahead(kernel, node, left, order.into());
     let slot = (left.trailing_zeros() as u8 ^ order) & 7;
     // By arithmetic alone: as a branch this would be foreseen wrongly at every other node.
     STEPS[usize::from(node.slots[usize::from(slot)]) | usize::from(left == 0) << 8]
@@ -305,96 +341,119 @@ fn node(nodes: &[Node], index: u32) -> &Node {
     nodes.get(index as usize).unwrap_or(&Node::EMPTY)
 }
 
-/// Goes into the next slot, an inner node.
+/// The first slot that is left of a level, which is then no longer left.
 #[inline(always)]
-fn inner<C, K: Kernel>(kernel: K, aloft: &mut Flying<'_, K, C>, stack: &mut [Level; DEPTH]) -> Step {
+fn next_slot(level: &mut Level, order: u8) -> usize {
+    let slot = (level.left.trailing_zeros() as u8 ^ order) & 7;
+    level.left &= level.left.wrapping_sub(1);
+    slot.into()
+}
+
+/// Goes into the next slot, an inner node: makes its level, of which only the slots are missing.
+#[inline(always)]
+fn descend<C, K: Kernel>(kernel: K, aloft: &mut Flying<'_, K, C>, stack: &mut [Level; DEPTH]) {
     let way = &aloft.setup.way;
     let top = aloft.top as usize % DEPTH;
     let level = &mut stack[top];
     let parent = node(aloft.nodes, level.node);
-    let slot = usize::from((level.left.trailing_zeros() as u8 ^ way.order) & 7);
-    level.left &= level.left.wrapping_sub(1);
-    let (frame, _) = kernel.load(&level.saved);
-    let frame = kernel.child(frame, parent, slot, way);
+    let slot = next_slot(level, way.order);
     let index = level.node.wrapping_add(parent.first_child).wrapping_add(u32::from(parent.slots[slot] & 7));
+    let (frame, near) = kernel.load(&level.saved);
+    let frame = kernel.child(frame, parent, slot, way);
     let page = level.page;
     // Where nothing is left the level is not come back to.
     let top = (top + usize::from(level.left != 0)) % DEPTH;
-    let child = node(aloft.nodes, index);
-    let (left, near) = kernel.touch(child, frame, way, aloft.ends);
     let level = &mut stack[top];
     kernel.save(&mut level.saved, frame, near);
-    (level.node, level.page, level.left) = (index, page, left);
+    (level.node, level.page) = (index, page);
     aloft.top = top as u32;
-    step(child, left, way.order)
 }
 
-/// Enters the next slot's page.
+/// Enters the next slot's page likewise; false if there is none.
 #[inline(always)]
-fn brick<'a, C, K: Kernel>(
+fn enter<'a, C, K: Kernel>(
     kernel: K,
     file: &File<'a>,
     aloft: &mut Flying<'a, K, C>,
     stack: &mut [Level; DEPTH],
-    counters: &mut Counters,
-) -> Result<Step> {
+) -> Result<bool> {
     let Setup { way, aim, .. } = &aloft.setup;
     let top = aloft.top as usize % DEPTH;
     let level = &mut stack[top];
     let parent = node(aloft.nodes, level.node);
     let slot = usize::from((level.left.trailing_zeros() as u8 ^ way.order) & 7);
-    level.left &= level.left.wrapping_sub(1);
     let number = parent.first_leaf.wrapping_add(u32::from(parent.slots[slot] & 0x3f));
-    let (Some(brick), TOP) = (file.brick(number), level.page) else { return Ok(step(parent, level.left, way.order)) };
+    let (Some(brick), TOP) = (file.brick(number), level.page) else { return Ok(false) };
+    level.left &= level.left.wrapping_sub(1);
     let top = (top + usize::from(level.left != 0)) % DEPTH;
-    counters.bricks += 1;
-    counters.nodes += 1;
     aloft.view = file.view(number)?;
     aloft.nodes = aloft.view.nodes;
+    kernel.fetch(node(aloft.nodes, 0), 0);
+    let (_, near) = kernel.load(&level.saved);
     let frame = kernel.frame(&cell_of(brick), aim, way);
-    let child = node(aloft.nodes, 0);
-    let (left, near) = kernel.touch(child, frame, way, aloft.ends);
     let level = &mut stack[top];
     kernel.save(&mut level.saved, frame, near);
-    (level.node, level.page, level.left) = (0, number, left);
+    (level.node, level.page) = (0, number);
     aloft.top = top as u32;
-    Ok(step(child, left, way.order))
+    Ok(true)
 }
 
-/// Tests the triangles of the next slot's leaf.
+/// Finds the slots that the ray touches of the node that it went into.
 #[inline(always)]
-fn leaf<'a, C: Collector<'a>, K: Kernel>(
-    kernel: K,
+fn touch<C, K: Kernel>(kernel: K, file: &File<'_>, aloft: &mut Flying<'_, K, C>, stack: &mut [Level; DEPTH]) -> Step {
+    let way = &aloft.setup.way;
+    let level = &mut stack[aloft.top as usize % DEPTH];
+    let (frame, _) = kernel.load(&level.saved);
+    let node = node(aloft.nodes, level.node);
+    let (left, near) = kernel.touch(node, frame, way, aloft.ends);
+    kernel.save(&mut level.saved, frame, near);
+    level.left = left;
+    step(kernel, file, node, left, way.order)
+}
+
+/// Finds the next slot's leaf.
+#[inline(always)]
+fn find<'a, C, K: Kernel>(
     file: &File<'a>,
     aloft: &mut Flying<'a, K, C>,
     stack: &mut [Level; DEPTH],
     counters: &mut Counters,
-) -> Step {
-    let order = aloft.setup.way.order;
+) {
     let level = &mut stack[aloft.top as usize % DEPTH];
     let parent = node(aloft.nodes, level.node);
-    let slot = usize::from((level.left.trailing_zeros() as u8 ^ order) & 7);
-    level.left &= level.left.wrapping_sub(1);
-    let next = step(parent, level.left, order);
-    let Some(stored) = file.stored(&aloft.view, level.node, parent, parent.slots[slot], counters) else { return next };
+    let slot = next_slot(level, aloft.setup.way.order);
+    aloft.leaf = file.stored(&aloft.view, level.node, parent, parent.slots[slot], counters);
+}
+
+/// Tests the triangles of the leaf that was found.
+#[inline(always)]
+fn test<'a, C: Collector<'a>, K: Kernel>(
+    kernel: K,
+    file: &File<'a>,
+    aloft: &mut Flying<'a, K, C>,
+    stack: &[Level; DEPTH],
+) -> Step {
+    let level = &stack[aloft.top as usize % DEPTH];
+    let next = step(kernel, file, node(aloft.nodes, level.node), level.left, aloft.setup.way.order);
+    let Some(stored) = &aloft.leaf else { return next };
     let range = range(&aloft.ray, &aloft.collector);
-    let lanes = kernel.classify(&stored.leaf, &aloft.shear, range, &mut aloft.depths);
-    aloft.leaf = Some((stored, lanes));
-    if lanes.accept | lanes.doubt != 0 { Step::Hit } else { next }
+    aloft.lanes = kernel.classify(&stored.leaf, &aloft.shear, range, &mut aloft.depths);
+    if aloft.lanes.accept | aloft.lanes.doubt != 0 { Step::Hit } else { next }
 }
 
 /// Takes the hits of the leaf that was tested last.
 #[inline(always)]
 fn hit<'a, C: Collector<'a>, K: Kernel>(
     kernel: K,
+    file: &File<'a>,
     aloft: &mut Flying<'a, K, C>,
     stack: &mut [Level; DEPTH],
     counters: &mut Counters,
 ) -> Step {
-    let Flying { setup, far, ends, nodes, depths, leaf, ray, collector, .. } = aloft;
+    let Flying { setup, far, ends, nodes, depths, leaf, lanes, ray, collector, .. } = aloft;
     let level = &mut stack[aloft.top as usize % DEPTH];
-    if let Some((stored, lanes)) = leaf.take() {
-        match take(&stored, lanes, ray, setup, depths, far, collector, counters) {
+    if let Some(stored) = leaf {
+        match take(stored, *lanes, ray, setup, depths, far, collector, counters) {
             Next::On => {}
             Next::Nearer => {
                 level.left &= kernel.within(kernel.load(&level.saved).1, *far);
@@ -403,13 +462,14 @@ fn hit<'a, C: Collector<'a>, K: Kernel>(
             Next::Done => return Step::End,
         }
     }
-    step(node(nodes, level.node), level.left, setup.way.order)
+    step(kernel, file, node(nodes, level.node), level.left, setup.way.order)
 }
 
 /// Comes back to a node put aside before, or passes over an empty slot.
 #[inline(always)]
 fn back<'a, C, K: Kernel>(
     kernel: K,
+    file: &File<'a>,
     top_nodes: &'a [Node],
     aloft: &mut Flying<'a, K, C>,
     stack: &mut [Level; DEPTH],
@@ -424,6 +484,6 @@ fn back<'a, C, K: Kernel>(
     // A page's levels follow upon each other, so this one is of the page entered last, or of the top.
     aloft.nodes = if level.page == TOP { top_nodes } else { aloft.view.nodes };
     aloft.top = top as u32;
-    let next = step(node(aloft.nodes, level.node), level.left, aloft.setup.way.order);
+    let next = step(kernel, file, node(aloft.nodes, level.node), level.left, aloft.setup.way.order);
     if top == 0 { Step::End } else { next }
 }

@@ -70,7 +70,8 @@ impl Tracer for LinearTracer {
             return Ok(None);
         }
         let line = Line::new(ray);
-        let mut closest = Closest::after(skip, &line, last);
+        let mut closest = Closest::new(skip);
+        closest.begin_after(&line, last);
         self.test(&line, &mut closest, &mut Counters::default());
         Ok(closest.found_exactly(ray))
     }

@@ -6,7 +6,7 @@ use super::arch::Isa;
 use super::ask::{Ask, Least, LeastHit, LeastOfEach, Whether, WhetherEach};
 use super::batch::{Batch, SPACE};
 use super::collect::Collector;
-use super::flight::{Flight, STACKS};
+use super::flight::{Flight, STACKS, WORTHWHILE};
 use super::near::Near;
 use super::packet::{self, PACKET};
 use super::setup::Scene;
@@ -16,8 +16,8 @@ use crate::error::Result;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
 
-/// On files up to this size, which mostly stay in the processor's caches, rays that make no packets are walked one after the other: measured.
-const CACHED: u64 = 64 << 20;
+/// On files up to this size, which mostly stay in the processor's caches, rays are never walked several at a time: measured.
+const CACHED: u64 = 4 << 20;
 
 /// Answers rays by walking an octree file. `O` is `&Octree`, `Arc<Octree>`, or `Octree` itself.
 #[derive(Clone)]
@@ -33,7 +33,7 @@ pub struct OctreeTracer<O> {
 pub enum Order {
     /// One ray after the other.
     Single,
-    /// Several rays under way at once, each by one step in turn: for rays that have nothing to do with each other, on large files.
+    /// Many rays under way at once, sorted by the step that each needs next: for rays that have nothing to do with each other, on large files.
     Flight,
     /// Neighbouring rays that run side by side together.
     Packet,
@@ -109,8 +109,13 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
             Some(Order::Packet) => self.one_by_one::<A, PACKET>(ask, rays, answers, true, counters),
             None => match packet::promising(rays) {
                 true => self.one_by_one::<A, PACKET>(ask, rays, answers, true, counters),
-                false if self.octree().header().file_bytes > CACHED => self.several(ask, rays, answers, counters),
-                false => self.one_by_one::<A, PACKET>(ask, rays, answers, false, counters),
+                false => {
+                    let uncached = self.octree().header().file_bytes > CACHED;
+                    match uncached && rays.len() >= WORTHWHILE && packet::scattered(rays) {
+                        true => self.several(ask, rays, answers, counters),
+                        false => self.one_by_one::<A, PACKET>(ask, rays, answers, false, counters),
+                    }
+                }
             },
         }
     }

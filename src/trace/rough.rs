@@ -49,8 +49,8 @@ impl Ask for RoughLeast {
     const NOTHING: Hit = Hit::MISS;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: usize, _: &Ray) -> Nearest<'a> {
-        Nearest(None)
+    fn begin(&self, _: usize, _: &Ray, nearest: &mut Nearest<'_>) {
+        nearest.0 = None;
     }
 
     #[inline(always)]
@@ -122,8 +122,8 @@ impl Ask for RoughWhether {
     const NOTHING: bool = false;
 
     #[inline(always)]
-    fn begin<'a>(&self, _: usize, _: &Ray) -> First<'a> {
-        First { found: false, file: PhantomData }
+    fn begin(&self, _: usize, _: &Ray, first: &mut First<'_>) {
+        first.found = false;
     }
 
     #[inline(always)]

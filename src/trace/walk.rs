@@ -175,10 +175,22 @@ impl<'a> File<'a> {
             node = view.node(index);
             nodes += 1;
             (left, near) = kernel.touch(node, frame, &sight.setup.way, ends);
+            self.ahead(kernel, node, left & left.wrapping_sub(1), mask);
         }
         counters.nodes += nodes;
         counters.bricks += bricks;
         Ok(())
+    }
+
+    /// Asks for what the first of the slots that are left names, so that it has come when the walk goes there.
+    #[inline(always)]
+    pub fn ahead<K: Kernel>(&self, kernel: K, node: &Node, left: u32, order: usize) {
+        let byte = node.slots[(left.trailing_zeros() as usize ^ order) & 7];
+        let inner = 64 * (node.first_child as usize + usize::from(byte & 7));
+        let leaf = 16 * node.first_leaf as usize + self.unit * usize::from(byte);
+        let at = if byte < EMPTY { leaf } else { inner };
+        kernel.fetch(node, at);
+        kernel.fetch(node, at + 64);
     }
 
     /// The nodes of a page or of the top.

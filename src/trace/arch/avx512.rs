@@ -135,6 +135,12 @@ impl Kernel for Avx512 {
     type Ends = __m512;
 
     #[inline(always)]
+    fn fetch<T>(self, from: &T, bytes: usize) {
+        // SAFETY: asking ahead touches nothing, whatever the address.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(std::ptr::from_ref(from).cast::<i8>().wrapping_add(bytes)) }
+    }
+
+    #[inline(always)]
     fn ends(self, near: f32, far: f32) -> __m512 {
         // SAFETY: `self` is proof.
         unsafe { _mm512_mask_mov_ps(_mm512_set1_ps(near), 0xff00, _mm512_set1_ps(-far)) }

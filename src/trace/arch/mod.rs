@@ -150,6 +150,8 @@ pub(super) trait Kernel: Wide {
     fn save(self, saved: &mut Saved, frame: Self::Frame, near: Self::Near);
     /// Takes a node up again.
     fn load(self, saved: &Saved) -> (Self::Frame, Self::Near);
+    /// Asks for the cache line so many bytes behind the start of something, ahead of its use.
+    fn fetch<T>(self, from: &T, bytes: usize);
     /// The parameters `near` and `far`.
     fn ends(self, near: f32, far: f32) -> Self::Ends;
     /// Which slots the ray touches between its ends, a bit an entry in the order of visits, and where they are

@@ -63,6 +63,9 @@ impl Kernel for Scalar {
     }
 
     #[inline(always)]
+    fn fetch<T>(self, _: &T, _: usize) {}
+
+    #[inline(always)]
     fn ends(self, near: f32, far: f32) -> [f32; 2] {
         [near, far]
     }

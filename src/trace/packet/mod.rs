@@ -140,16 +140,24 @@ struct Rays {
 
 /// Whether neighbours among the rays run side by side, by a few samples.
 pub(super) fn promising(rays: &[Ray]) -> bool {
+    rays.len() >= LEAST as usize && alike(rays, WIDE - 1, 0.99)
+}
+
+/// Whether even the next ray goes elsewhere, by a few samples.
+pub(super) fn scattered(rays: &[Ray]) -> bool {
+    rays.len() > 1 && !alike(rays, 1, 0.7)
+}
+
+/// Whether most rays point where the ray so many places further on does, the cosine between them being greater than that.
+fn alike(rays: &[Ray], apart: usize, least: f32) -> bool {
     const SAMPLES: usize = 8;
     let near = |a: &Ray, b: &Ray| {
         let dot = |p: [f32; 3], q: [f32; 3]| p[0] * q[0] + p[1] * q[1] + p[2] * q[2];
         let cosine = dot(a.direction, b.direction);
-        cosine > 0.0 && cosine * cosine > 0.98 * dot(a.direction, a.direction) * dot(b.direction, b.direction)
+        let square = least * least * dot(a.direction, a.direction) * dot(b.direction, b.direction);
+        cosine > 0.0 && cosine * cosine > square
     };
-    if rays.len() < LEAST as usize {
-        return false;
-    }
-    let reach = (rays.len() - 1).min(WIDE - 1);
+    let reach = (rays.len() - 1).min(apart);
     let samples = SAMPLES.min(rays.len() / (reach + 1)).max(1);
     let side_by_side = (0..samples).filter(|k| {
         let first = k * (rays.len() / samples);
