@@ -169,27 +169,31 @@ pub fn run_case(case: &Case, options: &[BuildOptions], monitor: Monitor<'_>) -> 
     Ok(report)
 }
 
-/// A tracer for each instruction set of this processor, and one that walks rays in packets; with which set depends on `turn`.
+/// A tracer for each instruction set of this processor, one that walks rays in packets, and one that keeps many under way; with which
+/// sets depends on `turn`.
 fn octree_modes(file: &Arc<Octree>, turn: usize) -> Vec<Mode> {
     let tracer = |isa: Isa| OctreeTracer::new(Arc::clone(file)).with_isa(isa);
     let sets = Isa::available();
-    let packed = Packed(tracer(sets[turn % sets.len()]).with_order(Order::Packet));
+    let sets_of_turn = [sets[turn % sets.len()], sets[(turn + 1) % sets.len()]];
     let mode = |isa: Isa| Mode { name: isa.name(), tracer: Box::new(tracer(isa)), every: 1 };
     let mut modes: Vec<Mode> = sets.into_iter().map(mode).collect();
-    modes.push(Mode { name: "packet", tracer: Box::new(packed), every: PACKET });
+    for (k, (name, order)) in [("packet", Order::Packet), ("flight", Order::Flight)].into_iter().enumerate() {
+        let together = Together(tracer(sets_of_turn[k]).with_order(order));
+        modes.push(Mode { name, tracer: Box::new(together), every: GROUP });
+    }
     modes
 }
 
-/// Asks every ray in a packet: in the midst of others that run beside it.
-struct Packed(OctreeTracer<Arc<Octree>>);
+/// Asks every ray in the midst of others that run beside it.
+struct Together(OctreeTracer<Arc<Octree>>);
 
-/// Rays of a packet.
-const PACKET: usize = 8;
+/// Rays asked at once.
+const GROUP: usize = 8;
 
-impl Packed {
+impl Together {
     /// The ray's companions, from the same point or close by in nearly the same direction, and its place among them.
-    fn packet(ray: &Ray) -> ([Ray; PACKET], usize) {
-        let place = ray.direction[0].to_bits() as usize % PACKET;
+    fn group(ray: &Ray) -> ([Ray; GROUP], usize) {
+        let place = ray.direction[0].to_bits() as usize % GROUP;
         let nudged = |i: usize| {
             // From the last bit up to a thousandth.
             let step = (1u32 << (i % 14)) as f32 * f32::EPSILON * [1.0, -1.0][i % 2];
@@ -206,18 +210,18 @@ impl Packed {
     }
 }
 
-impl Tracer for Packed {
+impl Tracer for Together {
     fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
-        let (rays, place) = Packed::packet(ray);
-        let mut found = [None; PACKET];
-        self.0.closest_each(&rays, &[skip; PACKET], &mut found, counters)?;
+        let (rays, place) = Together::group(ray);
+        let mut found = [None; GROUP];
+        self.0.closest_each(&rays, &[skip; GROUP], &mut found, counters)?;
         Ok(found[place])
     }
 
     fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool> {
-        let (rays, place) = Packed::packet(ray);
-        let mut blocked = [false; PACKET];
-        self.0.any_each(&rays, &[skip; PACKET], &mut blocked, counters)?;
+        let (rays, place) = Together::group(ray);
+        let mut blocked = [false; GROUP];
+        self.0.any_each(&rays, &[skip; GROUP], &mut blocked, counters)?;
         Ok(blocked[place])
     }
 
