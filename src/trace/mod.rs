@@ -1,7 +1,7 @@
 //! Rays against an octree file: closest hit, any hit, all hits in order, and the triangles that touch a box.
 //!
 //! [`OctreeTracer`] walks the file's own bytes: the parametric octree traversal of Revelles, Ureña and Lastra (2000) in a form that
-//! never loses a cell, over nodes and leaves as FORMAT.md has them. `setup.rs` has the argument, `walk.rs` the walk of one ray, `flight.rs` that
+//! never loses a cell, over nodes and leaves as FORMAT.md has them. `setup.rs` has the argument, `walk.rs` the walk of one ray, `flight/` that
 //! of several under way at once, `packet/` that of rays side by side, `near.rs` that of short rays, `batch.rs` what chooses among them;
 //! `rough.rs` measures what exactness costs. A triangle is tested by the f32 filter of [`crate::exact`] first and exactly where that is in doubt. [`LinearTracer`] tests every triangle
 //! exactly and is the reference. `arch/` holds the inner loops.
