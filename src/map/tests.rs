@@ -92,7 +92,7 @@ fn everything_written_is_read() {
         let parts = octree.parts(Monitor::silent()).unwrap();
         let count: u64 = parts.leaves_by_triangles.iter().zip(0..).map(|(leaves, n)| leaves * n).sum();
         assert_eq!(count, octree.header().references);
-        assert!(parts.padding < length / 2 && parts.leaf_vertices >= 36 * parts.leaves_by_triangles[1]);
+        assert!(parts.padding < length / 2 && parts.leaf_vertices >= 30 * parts.leaves_by_triangles[1]);
     }
 }
 

@@ -493,9 +493,9 @@ proptest! {
         let (size, scale, offset) = (2f32.powi(size), 2f32.powi(scale), Vec3::from_array(offset));
         let mesh = numbered(places.into_iter().map(|p| {
             let centre = Vec3::new(p[0], p[1], p[2]);
-            let at = |i: usize| (offset + centre + size * Vec3::new(p[i], p[(i + 4) % 9], p[(i + 7) % 9])) * scale;
-            let near = |v: Vec3| if steps { (v / scale * 64.0).round() / 64.0 * scale + 0.0 } else { v };
-            Triangle { a: near(at(0)), b: near(at(3)), c: near(at(5)) }
+            let near = |v: Vec3| if steps { (v * 64.0).round() / 64.0 + 0.0 } else { v };
+            let at = |i: usize| near(offset + centre + size * Vec3::new(p[i], p[(i + 4) % 9], p[(i + 7) % 9])) * scale;
+            Triangle { a: at(0), b: at(3), c: at(5) }
         }));
         let points = if steps { Points::Steps } else { Points::Floats };
         let unit = if wide { LeafUnit::B32 } else { LeafUnit::B16 };
