@@ -29,6 +29,11 @@ fn a_planet() {
 }
 
 #[test]
+fn a_planet_on_a_grid() {
+    is_crossed_evenly(&["--grid"]);
+}
+
+#[test]
 fn meshes_of_the_data_folder() {
     let Some(folder) = std::env::var_os("OCTRACE_DATA").map(PathBuf::from) else {
         eprintln!("OCTRACE_DATA is not set: fandisk and spot skipped");

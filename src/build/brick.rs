@@ -83,6 +83,7 @@ impl BrickBuilder<'_> {
             cell: self.options.cell as usize,
             depth: self.options.depth.into(),
             unit: self.unit,
+            points: self.options.positions.points(),
             // Without ids a triangle stored twice would be two triangles.
             repeats: self.options.ids,
         }

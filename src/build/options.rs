@@ -25,7 +25,7 @@ pub struct BuildOptions {
     pub depth: u8,
     /// Whether face ids are stored. Without them no triangle can be stored twice, so large ones are not cut by spatial splits.
     pub ids: bool,
-    /// Whether positions are stored as they are or moved to a grid.
+    /// Whether positions are stored as they are or moved to a grid, where they take fewer bytes.
     pub positions: Positions,
     /// Level, 1 to 22, at which pages are packed with zstd; `None`: they are not, so that they can be used where they lie.
     pub compress: Option<i32>,

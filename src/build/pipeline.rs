@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::event::Monitor;
-use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, SplitMode, Top};
+use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, Points, SplitMode, Top};
 use crate::mesh::TriangleSource;
 
 use super::brick::{BrickBuilder, BuiltBrick};
@@ -461,6 +461,7 @@ impl<'a> Build<'a> {
                 | flag(Flags::IDS, self.options.ids)
                 | flag(Flags::MATERIALS, self.layout.materials)
                 | flag(Flags::WIDE_MATERIALS, self.layout.materials && self.bricks.wide_materials)
+                | flag(Flags::STEPS, self.options.positions.points() == Points::Steps)
                 | flag(Flags::LEAF_UNIT_32, self.bricks.unit == LeafUnit::B32)
                 | flag(Flags::REPEATS, repeats),
         )

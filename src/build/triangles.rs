@@ -74,7 +74,7 @@ pub(super) fn read<'w>(
     }
     phases.begin("join");
     let guess = Placement { root: RootCube::around(scan.bounds), split: options.split };
-    let snap = Snap::new(options.positions, scan.bounds);
+    let snap = Snap::new(options.positions, scan.bounds, scan.faces.triangles());
     let mut grid = scan.counts_ahead(options, &tuning).then(|| Grid::new(CellCode::ROOT, tuning.first_grid(options)));
     let joined = join(&scan, work, &tuning, grid.as_mut().map(|grid| (grid, guess)), snap, monitor)?;
     check_joined(&joined.tally, options, monitor)?;

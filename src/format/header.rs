@@ -44,12 +44,20 @@ impl Flags {
     /// A triangle may be stored several times.
     pub const REPEATS: u32 = 128;
 
+    /// Leaves may hold their vertices as steps.
+    pub const STEPS: u32 = 256;
+
     /// All flags that version 1 knows.
-    pub const KNOWN: u32 = 255;
+    pub const KNOWN: u32 = 511;
 
     /// The unit of leaf offsets that the flags name.
     pub fn leaf_unit(self) -> super::LeafUnit {
         if self.has(Flags::LEAF_UNIT_32) { super::LeafUnit::B32 } else { super::LeafUnit::B16 }
+    }
+
+    /// How the vertices of leaves may be stored.
+    pub fn points(self) -> super::Points {
+        if self.has(Flags::STEPS) { super::Points::Steps } else { super::Points::Floats }
     }
 
     /// Whether all bits of `mask` are set.

@@ -4,6 +4,8 @@
 compile_error!("octree files are read in place, which needs a little-endian machine");
 
 mod checksum;
+mod coordinates;
+mod encode;
 mod header;
 mod leaf;
 mod material;
@@ -18,8 +20,10 @@ mod validate_top;
 mod writer;
 
 pub use checksum::checksum;
+pub use coordinates::Coordinates;
+pub use encode::encode_leaf;
 pub use header::{Dropped, Flags, HEADER_BYTES, Header, MAGIC, Section, SectionKind, SplitMode, VERSION};
-pub use leaf::{Coding, LEAF_MAX, Leaf, LeafUnit, encode_leaf};
+pub use leaf::{Coding, LEAF_MAX, Leaf, LeafUnit, Points};
 pub use material::MaterialRecord;
 pub use node::{DEPTH_MAX, Frame, Node, Slot};
 pub use pack::{pack, unpack};

@@ -7,7 +7,8 @@
 use std::fmt;
 
 use super::{
-    DEPTH_MAX, Flags, LEAF_PADDING, Leaf, LeafUnit, Node, PAGE_HEADER_BYTES, PageHeader, PageId, PageRecord, Slot,
+    DEPTH_MAX, Flags, LEAF_PADDING, Leaf, LeafUnit, Node, PAGE_HEADER_BYTES, PageHeader, PageId, PageRecord, Points,
+    Slot,
 };
 
 /// Checks an unpacked page against FORMAT.md: header, nodes, leaves, side arrays.
@@ -24,7 +25,7 @@ pub fn validate_page(
 ) -> Result<PageHeader, String> {
     let header = read_header(bytes, id, record, flags.leaf_unit())?;
     check_layout(bytes, &header, flags)?;
-    let mut starts = mark_leaves(bytes, &header, flags.leaf_unit())?;
+    let mut starts = mark_leaves(bytes, &header, flags)?;
     check_nodes(bytes, &header, flags.leaf_unit(), &mut starts)?;
     check_side_values(bytes, &header, flags, materials, source_triangles)?;
     Ok(header)
@@ -131,7 +132,8 @@ impl LeafStarts {
 }
 
 /// Walks the leaf records, which lie side by side, checks each, and that their references count up.
-fn mark_leaves(bytes: &[u8], h: &PageHeader, unit: LeafUnit) -> Result<LeafStarts, String> {
+fn mark_leaves(bytes: &[u8], h: &PageHeader, flags: Flags) -> Result<LeafStarts, String> {
+    let unit = flags.leaf_unit();
     let region = &bytes[h.leaf_offset as usize..h.leaf_end() as usize];
     let units = region.len() / unit.bytes();
     let mut starts = LeafStarts { bits: vec![0; units.div_ceil(64)], left: 0 };
@@ -139,6 +141,9 @@ fn mark_leaves(bytes: &[u8], h: &PageHeader, unit: LeafUnit) -> Result<LeafStart
     while at < region.len() {
         let broken = |what| Err(format!("leaf at {}: {what}", h.leaf_offset as usize + at));
         let Some(leaf) = Leaf::parse(&region[at..], unit) else { return broken("the record breaks a rule") };
+        if leaf.points() == Points::Steps && !flags.has(Flags::STEPS) {
+            return broken("its vertices are steps, which the header's flags do not allow");
+        }
         if u64::from(leaf.first()) != references {
             return broken("its first reference is not the sum of those before");
         }

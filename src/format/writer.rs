@@ -239,7 +239,7 @@ fn sync_folder(folder: &Path) -> std::io::Result<()> {
 mod tests {
     use super::*;
     use crate::error::Kind;
-    use crate::format::{Frame, SideArrays, encode_leaf};
+    use crate::format::{Frame, LeafUnit, Points, SideArrays, encode_leaf};
     use crate::geometry::Triangle;
     use glam::Vec3;
     use std::fs;
@@ -247,7 +247,7 @@ mod tests {
     /// A page of one triangle. Only its form matters here.
     fn page(number: u32) -> Vec<u8> {
         let mut leaf = Vec::new();
-        encode_leaf(&mut leaf, super::super::LeafUnit::B16, 0, &[Triangle { a: Vec3::X, b: Vec3::Y, c: Vec3::Z }])
+        encode_leaf(&mut leaf, LeafUnit::B16, Points::Floats, 0, &[Triangle { a: Vec3::X, b: Vec3::Y, c: Vec3::Z }])
             .unwrap();
         PageHeader::layout(PageId(number), &[Node::EMPTY], &leaf, 1, 1, &SideArrays::default(), false).unwrap()
     }

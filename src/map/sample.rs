@@ -44,9 +44,15 @@ pub(crate) fn soup(count: usize, seed: u64) -> Vec<Triangle> {
 }
 
 impl Sample {
-    /// `count` triangles of a soup.
+    /// `count` triangles of a soup; where leaves may hold steps, nearly all on a grid.
     pub(crate) fn new(count: usize, flags: u32, bricks: usize) -> Sample {
-        Sample { triangles: soup(count, 1), flags: Flags(flags), bricks }
+        let mut sample = Sample { triangles: soup(count, 1), flags: Flags(flags), bricks };
+        if sample.flags.has(Flags::STEPS) {
+            let near = |v: Vec3| (v * 1024.0).round() / 1024.0 + 0.0;
+            let round = |t: Triangle| Triangle { a: near(t.a), b: near(t.b), c: near(t.c) };
+            sample.triangles.iter_mut().skip(20).for_each(|t| *t = round(*t));
+        }
+        sample
     }
 
     /// The numbers of a brick's triangles; where the flags allow it, every seventh is in all bricks.
@@ -215,7 +221,8 @@ impl Tree {
                     let units = (tree.leaf_bytes.len() as u32 / 16 + 1 - node.first_leaf) * 16 / unit.bytes() as u32;
                     node.slots[slot] = Slot::Leaf(units as u8).encode();
                     let list: Vec<_> = part.iter().map(|&i| sample.triangles[i as usize]).collect();
-                    encode_leaf(&mut tree.leaf_bytes, unit, tree.order.len() as u32, &list).unwrap();
+                    encode_leaf(&mut tree.leaf_bytes, unit, sample.flags.points(), tree.order.len() as u32, &list)
+                        .unwrap();
                     tree.leaves += 1;
                     tree.order.extend(part);
                 } else {

@@ -3,7 +3,7 @@
 use super::{Octree, Page};
 use crate::error::Result;
 use crate::event::Monitor;
-use crate::format::{Flags, LEAF_MAX, Leaf, PAGE_HEADER_BYTES, PageId};
+use crate::format::{Flags, LEAF_MAX, Leaf, PAGE_HEADER_BYTES, PageId, Points};
 
 /// Bytes of a file by what they are; they add up to the file's length, or, for a packed file, to what it would be unpacked, without
 /// the zeros between pages.
@@ -21,6 +21,8 @@ pub struct Parts {
     pub leaf_corners: u64,
     /// Vertices of leaves.
     pub leaf_vertices: u64,
+    /// How many leaves hold their vertices as steps.
+    pub step_leaves: u64,
     /// Face ids.
     pub ids: u64,
     /// Material numbers.
@@ -74,8 +76,9 @@ impl Parts {
         self.normals += there(h.normal_corners, 12) + 12 * u64::from(h.normal_count);
         self.texcoords += there(h.texcoord_corners, 12) + 8 * u64::from(h.texcoord_count);
         for leaf in leaves(octree, page) {
-            self.leaf_corners += leaf.coding().coordinates_at() as u64;
-            self.leaf_vertices += 12 * leaf.vertices() as u64;
+            self.leaf_corners += leaf.vertices_at() as u64;
+            self.leaf_vertices += (leaf.end() - leaf.vertices_at()) as u64;
+            self.step_leaves += u64::from(leaf.points() == Points::Steps);
             self.leaves_by_triangles[leaf.len()] += 1;
         }
     }

@@ -38,7 +38,14 @@ fn visit(page: &Page<'_>, unit: LeafUnit, mut visit: impl FnMut(u32, Triangle)) 
 
 /// The samples that between them have every feature.
 fn samples() -> Vec<Sample> {
-    let extra = [0, Flags::LEAF_UNIT_32, Flags::WIDE_MATERIALS, Flags::WIDE_MATERIALS | Flags::LEAF_UNIT_32];
+    let extra = [
+        0,
+        Flags::STEPS,
+        Flags::STEPS | Flags::LEAF_UNIT_32,
+        Flags::LEAF_UNIT_32,
+        Flags::WIDE_MATERIALS,
+        Flags::WIDE_MATERIALS | Flags::LEAF_UNIT_32,
+    ];
     let mut list: Vec<_> = extra.iter().map(|&e| Sample::new(300, ALL | e, 5)).collect();
     list.push(Sample::new(300, ALL | Flags::REPEATS, 3));
     list.extend([1, 2, 7].map(|n| Sample::new(n, ALL, 1)));
@@ -85,7 +92,7 @@ fn everything_written_is_read() {
         let parts = octree.parts(Monitor::silent()).unwrap();
         let count: u64 = parts.leaves_by_triangles.iter().zip(0..).map(|(leaves, n)| leaves * n).sum();
         assert_eq!(count, octree.header().references);
-        assert!(parts.padding < length / 2 && parts.leaf_vertices >= 36 * parts.leaves_by_triangles[1]);
+        assert!(parts.padding < length / 2 && parts.leaf_vertices >= 30 * parts.leaves_by_triangles[1]);
     }
 }
 
@@ -210,7 +217,12 @@ fn mutate(byte: u8, state: &mut u64) -> u8 {
 #[test]
 fn no_page_makes_a_reader_panic() {
     let (_folder, path) = scratch();
-    for (flags, rounds) in [(ALL, 60_000), (ALL | Flags::LEAF_UNIT_32 | Flags::WIDE_MATERIALS, 60_000)] {
+    for (flags, rounds) in [
+        (ALL, 60_000),
+        (ALL | Flags::LEAF_UNIT_32 | Flags::WIDE_MATERIALS, 60_000),
+        (Flags::IDS | Flags::STEPS, 60_000),
+        (Flags::IDS | Flags::STEPS | Flags::LEAF_UNIT_32, 60_000),
+    ] {
         Sample::new(70, flags, 1).write(&path);
         let octree = Octree::open(&path).unwrap();
         let (record, brick) = (octree.records()[0], octree.bricks()[0]);

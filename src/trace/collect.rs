@@ -152,15 +152,10 @@ impl Rounding {
         let mut count = 0;
         for (i, (ray, collector)) in rays.iter().zip(collectors).enumerate().take(LANES) {
             let Best::Seen(Seen { stored: Stored { leaf, .. }, lane, .. }) = &collector.best else { continue };
-            let [a, b, c] = leaf.corners(*lane as usize);
-            let (x, y, z) = (leaf.coordinates(0), leaf.coordinates(1), leaf.coordinates(2));
-            let vertices = x.len().min(y.len()).min(z.len());
-            if a >= vertices || b >= vertices || c >= vertices {
-                continue;
-            }
+            let Some([a, b, c]) = leaf.corner_points(*lane as usize) else { continue };
             let block = &mut this.block;
-            for (axis, x) in [&x[..vertices], &y[..vertices], &z[..vertices]].into_iter().enumerate() {
-                (block.a[axis].0[count], block.b[axis].0[count], block.c[axis].0[count]) = (x[a], x[b], x[c]);
+            for axis in 0..3 {
+                (block.a[axis].0[count], block.b[axis].0[count], block.c[axis].0[count]) = (a[axis], b[axis], c[axis]);
                 block.origin[axis].0[count] = ray.origin[axis];
                 block.direction[axis].0[count] = ray.direction[axis];
             }

@@ -94,6 +94,18 @@ fn positions_on_a_grid_share_their_vertices() {
     lab.done("octbuild", &["ball.obj", "-o", "b.oct", "--positions", "grid", "--stats", "s.json"]);
     let shift = lab.json("s.json")["largest_shift"].as_f64().unwrap();
     assert!(shift > 0.0 && shift < 1e-5, "{shift}");
+    lab.done("octinfo", &["b.oct", "--verify"]);
+    let info = |file: &str| {
+        lab.write("info.json", lab.done("octinfo", &[file, "--json"]));
+        lab.json("info.json")
+    };
+    let grid = info("b.oct");
+    let (steps, leaves) = (grid["step_leaves"].as_u64().unwrap(), grid["leaves"].as_u64().unwrap());
+    assert!(4 * steps > 3 * leaves, "{steps} of {leaves}");
+    assert_eq!(grid["options"]["grid"], true);
+    lab.done("octbuild", &["ball.obj", "-o", "c.oct"]);
+    let vertices = |info: serde_json::Value| info["by_part"]["leaf_vertices"].as_f64().unwrap();
+    assert!(vertices(grid) < 0.75 * vertices(info("c.oct")));
 }
 
 #[test]

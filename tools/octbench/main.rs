@@ -31,6 +31,7 @@ use accuracy::{Plan, closed, replay};
 use cli::args::{Common, StatsFile};
 use cli::output::{Whole, print};
 use cli::{Arguments, CHECK_FAILED, Session};
+use families::mesh::Mesh;
 
 /// Measures accuracy, speed, and the trade between them
 #[derive(Parser)]
@@ -80,6 +81,9 @@ struct Accuracy {
     /// Aim at this mesh instead of the families' own
     #[arg(long, value_name = "FILE.obj")]
     model: Option<PathBuf>,
+    /// Move its vertices to a grid of a power of two first, so that they take 16 bits in the file
+    #[arg(long, requires = "model")]
+    grid: bool,
     /// Rays in all, spread over the families (1e6 reads as a million)
     #[arg(long, value_name = "N", default_value = "1e6", value_parser = count)]
     rays: u64,
@@ -110,6 +114,9 @@ struct Closed {
     /// A closed mesh [default: a planet of 101,568 triangles]
     #[arg(long, value_name = "FILE.obj")]
     model: Option<PathBuf>,
+    /// Move its vertices to a grid of a power of two first, so that they take 16 bits in the file
+    #[arg(long)]
+    grid: bool,
     /// Rays aimed at vertices, middles of edges and points of faces
     #[arg(long, value_name = "N", default_value = "1e6", value_parser = count)]
     rays: u64,
@@ -202,12 +209,17 @@ fn run_accuracy(options: &Accuracy, session: &Session<'_>) -> Result<ExitCode> {
     };
     let monitor = session.monitor();
     let outcome = match &options.model {
-        Some(path) => accuracy::run_model(&plan, &bench::load(path, monitor)?, monitor, &snapshot),
+        Some(path) => accuracy::run_model(&plan, &moved(bench::load(path, monitor)?, options.grid), monitor, &snapshot),
         None => accuracy::run(&plan, monitor, &snapshot),
     }?;
     finish(&Report::new(&outcome.families, seed, seconds(), outcome.complete), &options.stats, session)?;
     let errors = outcome.families.iter().map(FamilyReport::disagreements).sum();
     if outcome.complete { Ok(verdict(errors)) } else { Err(Error::Interrupted) }
+}
+
+/// The mesh, on a grid if asked for.
+fn moved(mesh: Mesh, grid: bool) -> Mesh {
+    if grid { mesh.on_grid() } else { mesh }
 }
 
 fn run_replay(options: &Replay, session: &Session<'_>) -> Result<ExitCode> {
@@ -236,6 +248,7 @@ fn run_closed(options: &Closed, session: &Session<'_>) -> Result<ExitCode> {
         Some(path) => (bench::load(path, monitor)?, path.as_path()),
         None => (planet::mesh(101_568, options.seed), Path::new("planet")),
     };
+    let mesh = moved(mesh, options.grid);
     let r = closed::run(&mesh, name, options.rays, options.seed, monitor)?;
     options.stats.write(&r)?;
     session.say(format!(

@@ -78,7 +78,8 @@ struct Tree {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Content")]
 struct Content {
-    /// Positions as they are, or moved to a grid of this step, one for all [default step: 2^-19 of the mesh's size]
+    /// Positions as they are, or moved to a grid, one for all, where they take half the bytes (if the step is a power of
+    /// two) [default step: 2^-19 to 2^-23 of the mesh's size]
     #[arg(long, value_name = "exact|grid[:STEP]", value_parser = positions, default_value = "exact")]
     positions: Positions,
     /// Pack pages, for shipping and slow disks; they are unpacked into memory when they are used [default level: 3]

@@ -22,6 +22,7 @@ pub struct Report {
     dropped: Dropped,
     nodes: u64,
     leaves: u64,
+    step_leaves: u64,
     pages: u32,
     top_nodes: u32,
     materials: u32,
@@ -75,12 +76,14 @@ struct Options {
     cell: Option<u32>,
     depth: u8,
     ids: bool,
+    grid: bool,
 }
 
 impl Report {
     /// Adds everything up, which reads every page.
     pub fn new(octree: &Octree, verified: bool, monitor: Monitor<'_>) -> Result<Report> {
         let h = octree.header();
+        let parts = octree.parts(monitor)?;
         Ok(Report {
             schema: SCHEMA,
             file: octree.path().display().to_string(),
@@ -92,6 +95,7 @@ impl Report {
             dropped: h.dropped.into(),
             nodes: h.nodes,
             leaves: h.leaves,
+            step_leaves: parts.step_leaves,
             pages: h.pages,
             top_nodes: h.top_nodes,
             materials: h.materials,
@@ -99,7 +103,7 @@ impl Report {
             bytes: h.file_bytes,
             bytes_per_triangle: h.file_bytes as f64 / h.triangles.max(1) as f64,
             largest_page: h.largest_page,
-            by_part: Parts::new(&octree.parts(monitor)?),
+            by_part: Parts::new(&parts),
             bounds: Bounds { min: h.bounds_min, max: h.bounds_max },
             origin: h.origin,
             root: Root { corner: h.root_corner, log2_side: h.root_log2_side },
@@ -125,7 +129,11 @@ impl Report {
         row("vertices", grouped(self.vertices));
         row("nodes", format!("{} ({} in the top), depth {}", grouped(self.nodes), self.top_nodes, self.depth));
         let fill = self.references as f64 / self.leaves.max(1) as f64;
-        row("leaves", format!("{} ({fill:.1} triangles each)", grouped(self.leaves)));
+        let steps = match self.options.grid {
+            true => format!(", {} with vertices of 16 bits an axis", grouped(self.step_leaves)),
+            false => String::new(),
+        };
+        row("leaves", format!("{} ({fill:.1} triangles each){steps}", grouped(self.leaves)));
         row("pages", format!("{} (largest {} bytes)", grouped(self.pages.into()), grouped(self.largest_page.into())));
         row("materials", grouped(self.materials.into()));
         row("bytes", format!("{} ({:.2} a triangle)", grouped(self.bytes), self.bytes_per_triangle));
@@ -171,10 +179,12 @@ impl Report {
         let o = &self.options;
         let cell = o.cell.map_or("all".to_owned(), |n| n.to_string());
         let ids = if o.ids { "" } else { " --no-ids" };
+        let grid = if o.grid { " --positions grid" } else { "" };
         match o.split {
-            "sah" => format!("--split sah --brick {} --leaf {}{ids}", o.brick, o.leaf),
+            "sah" => format!("--split sah --brick {} --leaf {}{ids}{grid}", o.brick, o.leaf),
             split => {
-                format!("--split {split} --brick {} --leaf {} --cell {cell} --depth {}{ids}", o.brick, o.leaf, o.depth)
+                let (brick, leaf, depth) = (o.brick, o.leaf, o.depth);
+                format!("--split {split} --brick {brick} --leaf {leaf} --cell {cell} --depth {depth}{ids}{grid}")
             }
         }
     }
@@ -226,6 +236,7 @@ fn options(h: &Header) -> Options {
         cell: (h.cell_limit != u32::MAX).then_some(h.cell_limit),
         depth: h.depth_limit,
         ids: h.flags.has(Flags::IDS),
+        grid: h.flags.has(Flags::STEPS),
     }
 }
 

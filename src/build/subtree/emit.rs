@@ -7,11 +7,11 @@
 use super::quantise::{brick_frame, set_planes};
 use super::wide::{Child, WideTree};
 use super::{BrickTriangle, Subtree};
-use crate::format::{Frame, LEAF_MAX, LeafUnit, Node, Slot, encode_leaf};
+use crate::format::{Frame, LEAF_MAX, LeafUnit, Node, Points, Slot, encode_leaf};
 use crate::geometry::Triangle;
 
 /// Writes out the tree from its last node, the root.
-pub(super) fn emit(tree: &WideTree, triangles: &[BrickTriangle], unit: LeafUnit) -> Subtree {
+pub(super) fn emit(tree: &WideTree, triangles: &[BrickTriangle], unit: LeafUnit, points: Points) -> Subtree {
     let root = tree.nodes.len() - 1;
     let bounds = tree.nodes[root].bounds;
     let frame = brick_frame(bounds);
@@ -19,6 +19,7 @@ pub(super) fn emit(tree: &WideTree, triangles: &[BrickTriangle], unit: LeafUnit)
         tree,
         triangles,
         unit,
+        points,
         nodes: vec![Node::EMPTY; tree.nodes.len()],
         taken: 1,
         leaf_bytes: Vec::new(),
@@ -53,6 +54,7 @@ struct Emitter<'a> {
     tree: &'a WideTree,
     triangles: &'a [BrickTriangle],
     unit: LeafUnit,
+    points: Points,
     nodes: Vec<Node>,
     /// Places given away.
     taken: usize,
@@ -110,7 +112,7 @@ impl Emitter<'_> {
             *corner = self.triangles[reference as usize].triangle;
         }
         let number = self.order.len() as u32;
-        encode_leaf(&mut self.leaf_bytes, self.unit, number, &corners[..count])
+        encode_leaf(&mut self.leaf_bytes, self.unit, self.points, number, &corners[..count])
             .expect("every leaf of a wide tree was made within the record's limits");
         self.order.extend_from_slice(references);
     }

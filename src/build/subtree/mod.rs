@@ -33,7 +33,7 @@ mod wide;
 pub use cell::{Cell, cell_of, overlaps};
 pub use top::{TopBrick, build_top, top_levels};
 
-use crate::format::{LeafUnit, Node, SplitMode};
+use crate::format::{LeafUnit, Node, Points, SplitMode};
 use crate::geometry::{RootCube, Triangle};
 
 /// A triangle of a brick.
@@ -58,6 +58,8 @@ pub struct SubtreeOptions {
     pub depth: u32,
     /// Unit of leaf offsets, which decides how many vertices a leaf may have.
     pub unit: LeafUnit,
+    /// How vertices are to be stored where they can be.
+    pub points: Points,
     /// Sah mode: whether a triangle may be stored in several leaves (spatial splits), each of which covers a part of it.
     pub repeats: bool,
 }
@@ -117,7 +119,7 @@ pub fn build_subtree(triangles: &[BrickTriangle], cell: Cell, root: RootCube, op
             strict::StrictBuilder { triangles: canonical, root, limits, cell: limit, depth }.build(cell)
         }
     };
-    emit::emit(&tree, triangles, options.unit)
+    emit::emit(&tree, triangles, options.unit, options.points)
 }
 
 /// A triangle's place in the canonical order.

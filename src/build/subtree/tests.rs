@@ -5,13 +5,13 @@ use proptest::prelude::*;
 
 use super::wide::Bounds;
 use super::*;
-use crate::format::{Flags, Frame, Leaf, PageHeader, PageId, PageRecord, SideArrays, Slot, validate_page};
+use crate::format::{Flags, Frame, Leaf, PageHeader, PageId, PageRecord, Points, SideArrays, Slot, validate_page};
 use crate::geometry::Aabb;
 
 const MODES: [SplitMode; 3] = [SplitMode::Sah, SplitMode::Octree, SplitMode::Strict];
 
 fn options(split: SplitMode) -> SubtreeOptions {
-    SubtreeOptions { split, leaf: 16, cell: 16, depth: 21, unit: LeafUnit::B16, repeats: false }
+    SubtreeOptions { split, leaf: 16, cell: 16, depth: 21, unit: LeafUnit::B16, points: Points::Floats, repeats: false }
 }
 
 fn numbered(triangles: impl IntoIterator<Item = Triangle>) -> Vec<BrickTriangle> {
@@ -154,6 +154,9 @@ fn validate(triangles: &[BrickTriangle], options: &SubtreeOptions, subtree: &Sub
     let bytes = page.len() as u32;
     let record = PageRecord { offset: 4096, checksum: 0, stored_bytes: bytes, bytes, references, zero: 0 };
     let mut flags = Flags::IDS;
+    if options.points == Points::Steps {
+        flags |= Flags::STEPS;
+    }
     if options.unit == LeafUnit::B32 {
         flags |= Flags::LEAF_UNIT_32;
     }
@@ -485,15 +488,18 @@ proptest! {
         places in prop::collection::vec(prop::array::uniform9(-1.0f32..1.0), 1..300),
         size in -40i32..2, scale in -145i32..=116, offset in prop::array::uniform3(-1e3f32..1e3),
         mode in 0usize..3, leaf in 1usize..=16, cell in 1usize..40, depth in 0u32..=21, wide in any::<bool>(), repeats in any::<bool>(),
+        steps in any::<bool>(),
     ) {
         let (size, scale, offset) = (2f32.powi(size), 2f32.powi(scale), Vec3::from_array(offset));
         let mesh = numbered(places.into_iter().map(|p| {
             let centre = Vec3::new(p[0], p[1], p[2]);
-            let at = |i: usize| (offset + centre + size * Vec3::new(p[i], p[(i + 4) % 9], p[(i + 7) % 9])) * scale;
+            let near = |v: Vec3| if steps { (v * 64.0).round() / 64.0 + 0.0 } else { v };
+            let at = |i: usize| near(offset + centre + size * Vec3::new(p[i], p[(i + 4) % 9], p[(i + 7) % 9])) * scale;
             Triangle { a: at(0), b: at(3), c: at(5) }
         }));
+        let points = if steps { Points::Steps } else { Points::Floats };
         let unit = if wide { LeafUnit::B32 } else { LeafUnit::B16 };
-        let options = SubtreeOptions { split: MODES[mode], leaf, cell, depth, unit, repeats };
+        let options = SubtreeOptions { split: MODES[mode], leaf, cell, depth, unit, points, repeats };
         let root = root_of(&mesh);
         check(&mesh, root, &options, &build_subtree(&mesh, Cell::ROOT, root, &options));
     }

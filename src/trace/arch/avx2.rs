@@ -333,15 +333,13 @@ impl Kernel for Avx2 {
 
     #[inline(always)]
     fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
-        let (begin, nv) = (leaf.coding().coordinates_at(), leaf.vertices());
-        let steps = nv.div_ceil(8);
-        if leaf.is_empty() || leaf.bytes().len() < begin + 4 * (2 * nv + 8 * steps) {
+        if leaf.is_empty() || leaf.bytes().len() < leaf.reach(8) {
             return scalar::classify(leaf, shear, range, depths);
         }
         let bits = u32::MAX >> (32 - leaf.len().clamp(1, 16));
-        // SAFETY: `self` is proof; loads of axis k reach up to begin + 4 * (k * nv + 8 * steps), k <= 2, which was checked.
+        // SAFETY: `self` is proof; all loads end before the reach, which lies within the leaf's bytes.
         unsafe {
-            let table = leaf::Table::of(leaf, shear, steps);
+            let table = leaf::Table::of(leaf, shear);
             let first = table.half(0, shear, range, depths);
             let second = if leaf.len() > 8 { table.half(1, shear, range, depths) } else { Lanes::default() };
             Lanes {

@@ -7,7 +7,7 @@ use std::arch::x86_64::*;
 
 use super::{Aim, Block, Cell, Fit, Job, Kernel, Rough, Rounded, Saved, Way, avx2, round, scalar};
 use crate::exact::{Depths, Lanes, Shear};
-use crate::format::{Coding, Leaf, Node};
+use crate::format::{Coding, Leaf, Node, Points};
 use crate::geometry::Ray;
 
 /// Proof that the processor has AVX-512 (F, BW, DQ, VL, CD, VBMI: Ice Lake, Zen 4 and later) and what [`avx2::Avx2`] stands for.
@@ -236,12 +236,10 @@ impl Kernel for Avx512 {
 
     #[inline(always)]
     fn classify(self, leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: &mut Depths) -> Lanes {
-        let registers = leaf.vertices().div_ceil(16);
-        let reach = leaf.coding().coordinates_at() + 4 * (2 * leaf.vertices() + 16 * registers);
-        if leaf.is_empty() || leaf.bytes().len() < reach {
+        if leaf.is_empty() || leaf.bytes().len() < leaf.reach(16) {
             return scalar::classify(leaf, shear, range, depths);
         }
-        // SAFETY: `self` is proof; all loads end before `reach`, which lies within the leaf's bytes.
+        // SAFETY: `self` is proof; all loads end before the reach, which lies within the leaf's bytes.
         unsafe {
             match leaf.coding() {
                 Coding::Nibbles => nibbles(leaf, shear, range, depths),
@@ -266,18 +264,34 @@ impl Kernel for Avx512 {
 /// Sixteen sheared vertices from number `first` on, and their depths.
 ///
 /// # Safety
-/// AVX-512 must be there, and 64 bytes behind vertex `first` of each axis.
+/// AVX-512 must be there, and sixteen coordinates from vertex `first` on of each axis.
 #[inline(always)]
 unsafe fn sheared(leaf: &Leaf<'_>, shear: &Shear, first: usize) -> [__m512; 3] {
     // SAFETY: as the caller vouches.
     unsafe {
-        let begin = leaf.bytes().as_ptr().add(leaf.coding().coordinates_at() + 4 * first);
-        let stride = 4 * leaf.vertices();
+        let [x, y, z] = match leaf.points() {
+            Points::Floats => {
+                let begin = leaf.bytes().as_ptr().add(leaf.coordinates_at() + 4 * first);
+                let stride = 4 * leaf.vertices();
+                let load = |axis: usize| _mm512_loadu_ps(begin.add(stride * axis.min(2)).cast());
+                [load(shear.axes[0]), load(shear.axes[1]), load(shear.axes[2])]
+            }
+            Points::Steps => {
+                let begin = leaf.bytes().as_ptr().add(leaf.coordinates_at() + 2 * first);
+                let (stride, scale) = (2 * leaf.vertices(), _mm512_set1_ps(leaf.scale()));
+                let bases = leaf.bytes().as_ptr().add(leaf.vertices_at());
+                // Exact, each step of it: `format/coordinates.rs`.
+                let load = |axis: usize| {
+                    let steps = _mm256_loadu_si256(begin.add(stride * axis.min(2)).cast());
+                    let base = bases.add(4 * axis.min(2)).cast::<i32>().read_unaligned();
+                    let whole = _mm512_add_epi32(_mm512_cvtepu16_epi32(steps), _mm512_set1_epi32(base));
+                    _mm512_mul_ps(_mm512_cvtepi32_ps(whole), scale)
+                };
+                [load(shear.axes[0]), load(shear.axes[1]), load(shear.axes[2])]
+            }
+        };
         let [ox, oy, oz] = shear.origin();
         let [sx, sy] = shear.slopes();
-        let x = _mm512_loadu_ps(begin.add(stride * shear.axes[0].min(2)).cast());
-        let y = _mm512_loadu_ps(begin.add(stride * shear.axes[1].min(2)).cast());
-        let z = _mm512_loadu_ps(begin.add(stride * shear.axes[2].min(2)).cast());
         let depth = _mm512_sub_ps(z, _mm512_set1_ps(oz));
         // Rounded after each step, never fused: the bound of `exact/filter.rs` counts on it.
         let wide = _mm512_sub_ps(_mm512_sub_ps(x, _mm512_set1_ps(ox)), _mm512_mul_ps(_mm512_set1_ps(sx), depth));

@@ -6,7 +6,7 @@ use glam::Vec3;
 
 use super::{Aim, Block, Cell, Fit, Kernel, MODERATE, NEAR, Planes, Rough, Rounded, Row, Saved, WIDE, Way};
 use crate::exact::{Depths, LANES, Lanes, Line, Shear};
-use crate::format::{Coding, Frame, Leaf, Node};
+use crate::format::{Coding, Frame, Leaf, Node, Points};
 use crate::geometry::{Ray, Triangle};
 
 /// Portable code over fixed arrays.
@@ -161,7 +161,7 @@ pub(super) fn classify(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2], depths: 
     }
 }
 
-/// The same over a table of N vertices, read in place where the page goes on long enough behind the leaf.
+/// The same over a table of N vertices, read in place where they are f32 and the page goes on long enough behind the leaf.
 #[inline]
 fn classify_over<const N: usize>(
     leaf: &Leaf<'_>,
@@ -173,11 +173,7 @@ fn classify_over<const N: usize>(
     match shear.axes.map(|axis| coordinates::<N>(leaf, axis)) {
         [Some(x), Some(y), Some(z)] => shear.classify([x, y, z], corners, leaf.len(), range, depths),
         _ => {
-            let copies = shear.axes.map(|axis| {
-                let mut copy = [0.0; N];
-                copy.iter_mut().zip(leaf.coordinates(axis)).for_each(|(to, from)| *to = *from);
-                copy
-            });
+            let copies = shear.axes.map(|axis| leaf.table::<N>(axis));
             shear.classify([&copies[0], &copies[1], &copies[2]], corners, leaf.len(), range, depths)
         }
     }
@@ -186,7 +182,10 @@ fn classify_over<const N: usize>(
 /// N coordinates of one axis, the first of them the leaf's.
 #[inline]
 fn coordinates<'a, const N: usize>(leaf: &Leaf<'a>, axis: usize) -> Option<&'a [f32; N]> {
-    let begin = leaf.coding().coordinates_at() + 4 * leaf.vertices() * axis;
+    if leaf.points() == Points::Steps {
+        return None;
+    }
+    let begin = leaf.coordinates_at() + 4 * leaf.vertices() * axis;
     let bytes = leaf.bytes().get(begin..begin + 4 * N)?;
     bytemuck::try_cast_slice(bytes).ok()?.try_into().ok()
 }

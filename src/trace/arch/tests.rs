@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::exact::Line;
-use crate::format::{LeafUnit, encode_leaf};
+use crate::format::{LeafUnit, Points, encode_leaf};
 use crate::geometry::{Aabb, Ray, Triangle};
 use bytemuck::Zeroable;
 use glam::Vec3;
@@ -137,14 +137,16 @@ proptest! {
         origin in proptest::array::uniform3(-2f32..2.0),
         aim in (any::<u8>(), 0f32..1.0),
         snap in any::<bool>(),
+        steps: bool,
         behind in 0usize..200
     ) {
+        let points_as = if steps { Points::Steps } else { Points::Floats };
         let round = |x: f32| if snap { (x * 8.0).round() / 8.0 } else { x };
         let point = |i: u8| Vec3::from_array(points[usize::from(i) % points.len()].map(round));
         let triangles: Vec<Triangle> =
             picks.iter().map(|p| Triangle { a: point(p[0]), b: point(p[1]), c: point(p[2]) }).collect();
         let mut bytes = Vec::new();
-        prop_assert!(encode_leaf(&mut bytes, LeafUnit::B32, 0, &triangles).is_some());
+        prop_assert!(encode_leaf(&mut bytes, LeafUnit::B32, points_as, 0, &triangles).is_some());
         // Whatever lies behind the leaf must not matter, nor how much of it there is.
         bytes.extend(std::iter::repeat_n(0xff, behind & !3));
         let words: Vec<u64> = bytes.chunks(8).map(|c| {

@@ -5,6 +5,7 @@ use super::super::ask::Ask;
 use super::super::collect::Stored;
 use super::{Asked, Common, GROUPS, Group, Rays, Work, meets};
 use crate::exact::{Crossing, Decision, Depths, Line, Shear};
+use crate::format::Coordinates;
 use crate::geometry::{FaceId, Ray};
 
 /// Up to so many rays of sixteen are tested one by one at a leaf: measured.
@@ -179,20 +180,19 @@ fn one_by_one<K: Kernel, A: Ask>(
 #[inline(always)]
 fn keep<A: Ask>(stored: &Stored<'_>, group: &mut Group, taken: u32) {
     let leaf = &stored.leaf;
-    let (x, y, z) = (leaf.coordinates(0), leaf.coordinates(1), leaf.coordinates(2));
     let mut last = (u32::MAX, FaceId::NONE);
     let mut rest = taken;
     while rest != 0 {
         let i = rest.trailing_zeros() as usize & (WIDE - 1);
         rest &= rest - 1;
         let j = group.which[i];
-        let [a, b, c] = leaf.corners(j as usize);
-        let corners = if A::EXACT { 3 } else { 0 };
-        for (rows, k) in
-            [(&mut group.block.a, a), (&mut group.block.b, b), (&mut group.block.c, c)].into_iter().take(corners)
+        if A::EXACT
+            && let Some([a, b, c]) = leaf.corner_points(j as usize)
         {
-            let (Some(&x), Some(&y), Some(&z)) = (x.get(k), y.get(k), z.get(k)) else { continue };
-            (rows[0].0[i], rows[1].0[i], rows[2].0[i]) = (x, y, z);
+            for axis in 0..3 {
+                let block = &mut group.block;
+                (block.a[axis].0[i], block.b[axis].0[i], block.c[axis].0[i]) = (a[axis], b[axis], c[axis]);
+            }
         }
         if j != last.0 {
             last = (j, stored.face(j));
@@ -220,7 +220,14 @@ fn together<K: Kernel, A: Ask>(
 ) -> (u32, u32) {
     let leaf = &stored.leaf;
     let [ax, ay, az] = common.axes.map(|axis| axis.min(2));
-    let (xs, ys, zs) = (leaf.coordinates(ax), leaf.coordinates(ay), leaf.coordinates(az));
+    let tables: [[f32; 32]; 3];
+    let [xs, ys, zs] = match [ax, ay, az].map(|axis| leaf.coordinates(axis)) {
+        [Coordinates::Floats(x), Coordinates::Floats(y), Coordinates::Floats(z)] => [x, y, z],
+        _ => {
+            tables = [ax, ay, az].map(|axis| leaf.table(axis));
+            [0, 1, 2].map(|k| &tables[k][..leaf.vertices()])
+        }
+    };
     let (ox, oy, oz) =
         (kernel.get(&group.block.origin[ax]), kernel.get(&group.block.origin[ay]), kernel.get(&group.block.origin[az]));
     let (sx, sy) = (kernel.get(&group.slopes[0]), kernel.get(&group.slopes[1]));

@@ -4,7 +4,6 @@ use std::collections::HashMap;
 use std::path::Path;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use octrace::build::BuildOptions;
 use octrace::event::Monitor;
 use octrace::geometry::{Ray, Skip};
 use octrace::trace::{OctreeTracer, Tracer, all_hits};
@@ -60,7 +59,7 @@ pub fn run(mesh: &Mesh, name: &Path, rays: u64, seed: u64, monitor: Monitor<'_>)
     let wrong = |what: String| Error::Input { file: name.to_owned(), what };
     let edges = edges_of_closed(mesh).map_err(wrong)?;
     monitor.phase("build");
-    let tracer = OctreeTracer::new(octree(mesh, &BuildOptions::default())?);
+    let tracer = OctreeTracer::new(octree(mesh, &super::lossless())?);
     let origins = Origins { ball: mesh.ball(), inside: points_inside(mesh, seed) };
     if origins.inside.is_empty() {
         return Err(wrong("no point inside was found".to_owned()));

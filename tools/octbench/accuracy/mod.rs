@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use octrace::build::BuildOptions;
+use octrace::build::{BuildOptions, Positions};
 use octrace::event::Monitor;
 use octrace::{Error, Result};
 
@@ -106,10 +106,15 @@ pub fn run_model(plan: &Plan, mesh: &Mesh, monitor: Monitor<'_>, snapshot: Snaps
     work(plan, &families, &tasks, monitor, snapshot)
 }
 
+/// How a mesh's file is built that must stay as it is: where vertices lie on a grid they take 16 bits.
+fn lossless() -> BuildOptions {
+    BuildOptions { positions: Positions::LOSSLESS, ..BuildOptions::default() }
+}
+
 /// Aims those of the families that can at a mesh, and builds its file.
 fn given(rays: u64, seed: u64, mesh: &Mesh, families: &[Family], monitor: Monitor<'_>) -> Result<Vec<Task>> {
     monitor.phase("build");
-    let bench = Arc::new(Bench::new(mesh, &[BuildOptions::default()])?);
+    let bench = Arc::new(Bench::new(mesh, &[lossless()])?);
     let aiming: Vec<usize> =
         (0..families.len()).filter(|&i| families::ON_ANY_MESH.contains(&families[i].number)).collect();
     let each = rays.div_ceil(aiming.len().max(1) as u64);

@@ -12,7 +12,7 @@
 use std::collections::HashMap;
 use std::path::Path;
 
-use octrace::build::BuildOptions;
+use octrace::build::{BuildOptions, Positions};
 use octrace::event::Monitor;
 use octrace::format::SplitMode;
 use octrace::{Error, Result};
@@ -114,7 +114,8 @@ pub fn to_text(title: &str, case: &Case, options: &[BuildOptions]) -> String {
     for o in options {
         let split = SPLITS.iter().find(|s| s.1 == o.split).map_or("sah", |s| s.0);
         let brick = o.brick.map_or("-".to_owned(), |n| n.to_string());
-        text += &format!("build {split} {} {} {} {brick}\n", o.leaf, o.cell, o.depth);
+        let steps = if o.positions == Positions::LOSSLESS { " steps" } else { "" };
+        text += &format!("build {split} {} {} {} {brick}{steps}\n", o.leaf, o.cell, o.depth);
     }
     for p in &case.mesh.points {
         text += &format!("v {:08x} {:08x} {:08x}\n", p[0].to_bits(), p[1].to_bits(), p[2].to_bits());
@@ -163,13 +164,19 @@ impl Replay {
             ["closed"] => self.case.closed = true,
             ["v", p @ ..] => self.case.mesh.points.push(floats(p)?),
             ["f", a, b, c] => self.case.mesh.faces.push([a.parse().ok()?, b.parse().ok()?, c.parse().ok()?]),
-            ["build", split, leaf, cell, depth, brick] => {
+            ["build", split, leaf, cell, depth, brick, rest @ ..] => {
+                let positions = match rest {
+                    [] => Positions::Exact,
+                    ["steps"] => Positions::LOSSLESS,
+                    _ => return None,
+                };
                 let options = BuildOptions {
                     split: SPLITS.iter().find(|s| s.0 == *split)?.1,
                     leaf: leaf.parse().ok()?,
                     cell: cell.parse().ok()?,
                     depth: depth.parse().ok()?,
                     brick: if *brick == "-" { None } else { Some(brick.parse().ok()?) },
+                    positions,
                     ..BuildOptions::default()
                 };
                 self.builds.push(options);
@@ -216,7 +223,8 @@ mod tests {
 
     #[test]
     fn only_rays_that_disagree_are_kept_and_come_back() {
-        let (case, options) = (case(), [BuildOptions { brick: Some(7), ..BuildOptions::default() }]);
+        let (case, options) =
+            (case(), [BuildOptions { brick: Some(7), positions: Positions::LOSSLESS, ..BuildOptions::default() }]);
         let kept = reduced(&case, &options).unwrap();
         let kept_rays: Vec<String> = kept.probes.iter().map(probe_line).collect();
         assert_eq!(kept_rays, [1, 3].map(|k| probe_line(&case.probes[k])));

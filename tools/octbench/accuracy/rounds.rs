@@ -1,6 +1,6 @@
 //! How many rounds a family has, with how many rays and how large a mesh each, and how its file is built.
 
-use octrace::build::BuildOptions;
+use octrace::build::{BuildOptions, Positions};
 use octrace::format::SplitMode;
 
 use crate::families::{self, Family, Layout};
@@ -78,6 +78,8 @@ fn one_way(round: usize, layout: &Layout, triangles: usize) -> BuildOptions {
         cell: [16, 1, 2, 8, 64, u32::MAX][round / 2 % 6],
         depth: [21, 21, 5, 1, 0, 12][round / 5 % 6],
         brick: layout.brick.or([None, Some(64), None, Some(1000)][round % 4]),
+        // Where vertices lie on a grid by themselves they then take 16 bits.
+        positions: [Positions::Exact, Positions::LOSSLESS][round / 2 % 2],
         memory: MEMORY,
         ..BuildOptions::default()
     };

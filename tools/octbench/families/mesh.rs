@@ -57,6 +57,17 @@ impl Mesh {
         self
     }
 
+    /// The vertices moved to the nearest multiples of a power of two, 2^20 to 2^21 of which make the longest side.
+    pub fn on_grid(mut self) -> Mesh {
+        let (low, high) = self.bounds();
+        let extent = (0..3).map(|i| high[i] - low[i]).fold(0.0, f64::max);
+        if extent > 0.0 && extent.is_finite() {
+            let step = 2f64.powi(extent.log2().floor() as i32 - 20);
+            self.points.iter_mut().flatten().for_each(|x| *x = ((f64::from(*x) / step).round() * step) as f32);
+        }
+        self
+    }
+
     /// Box of the finite vertices.
     pub fn bounds(&self) -> ([f64; 3], [f64; 3]) {
         let mut low = [f64::INFINITY; 3];

@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use crate::exact::{Depths, Lanes, Shear};
-use crate::format::{Coding, Leaf};
+use crate::format::{Coding, Leaf, Points};
 
 /// A leaf's vertices, sheared, eight a register, and its corner numbers.
 pub(super) struct Table {
@@ -17,9 +17,10 @@ impl Table {
     /// Shears all vertices.
     ///
     /// # Safety
-    /// AVX2 must be there, and 32 readable bytes behind vertex 8 i of each axis, for all i < `steps`.
+    /// AVX2 must be there, and the leaf's bytes hold [`Leaf::reach`] for eight lanes.
     #[inline(always)]
-    pub unsafe fn of(leaf: &Leaf<'_>, shear: &Shear, steps: usize) -> Table {
+    pub unsafe fn of(leaf: &Leaf<'_>, shear: &Shear) -> Table {
+        let steps = leaf.vertices().div_ceil(8);
         let corners = match leaf.coding() {
             Coding::Bytes => leaf.corner_bytes(),
             Coding::Nibbles => {
@@ -29,18 +30,25 @@ impl Table {
         };
         // SAFETY: as the caller vouches.
         unsafe {
-            let base = leaf.bytes().as_ptr().add(leaf.coding().coordinates_at());
-            let stride = 4 * leaf.vertices();
-            let x: *const f32 = base.add(stride * shear.axes[0].min(2)).cast();
-            let y: *const f32 = base.add(stride * shear.axes[1].min(2)).cast();
-            let z: *const f32 = base.add(stride * shear.axes[2].min(2)).cast();
-            let first = sheared(x, y, z, shear);
-            let mut vertices = [first; 4];
-            let mut i = 1;
-            while i < steps.min(4) {
-                vertices[i] = sheared(x.add(8 * i), y.add(8 * i), z.add(8 * i), shear);
-                i += 1;
-            }
+            let begin = leaf.bytes().as_ptr().add(leaf.coordinates_at());
+            let axes = shear.axes.map(|axis| axis.min(2));
+            let vertices = match leaf.points() {
+                Points::Floats => {
+                    let stride = 4 * leaf.vertices();
+                    all(steps, shear, |k, i| _mm256_loadu_ps(begin.add(stride * axes[k] + 32 * i).cast()))
+                }
+                Points::Steps => {
+                    let (stride, scale) = (2 * leaf.vertices(), _mm256_set1_ps(leaf.scale()));
+                    let bases = leaf.bytes().as_ptr().add(leaf.vertices_at());
+                    let base = axes.map(|axis| _mm256_set1_epi32(bases.add(4 * axis).cast::<i32>().read_unaligned()));
+                    // Exact, each step of it: `format/coordinates.rs`.
+                    all(steps, shear, |k, i| {
+                        let steps = _mm_loadu_si128(begin.add(stride * axes[k] + 16 * i).cast());
+                        let whole = _mm256_add_epi32(_mm256_cvtepu16_epi32(steps), base[k]);
+                        _mm256_mul_ps(_mm256_cvtepi32_ps(whole), scale)
+                    })
+                }
+            };
             Table { steps, vertices, corners }
         }
     }
@@ -117,20 +125,38 @@ impl Table {
     }
 }
 
+/// All vertices, sheared: `load` gives coordinate k of vertices 8 i to 8 i + 7, for i below `steps`.
+///
+/// # Safety
+/// AVX2 must be there.
+#[inline(always)]
+unsafe fn all(steps: usize, shear: &Shear, load: impl Fn(usize, usize) -> __m256) -> [[__m256; 3]; 4] {
+    // SAFETY: as the caller vouches.
+    unsafe {
+        let mut vertices = [sheared(load(0, 0), load(1, 0), load(2, 0), shear); 4];
+        let mut i = 1;
+        while i < steps.min(4) {
+            vertices[i] = sheared(load(0, i), load(1, i), load(2, i), shear);
+            i += 1;
+        }
+        vertices
+    }
+}
+
 /// Eight sheared vertices and their depths.
 ///
 /// # Safety
-/// AVX2 must be there, and eight floats at each pointer.
+/// AVX2 must be there.
 #[inline(always)]
-unsafe fn sheared(x: *const f32, y: *const f32, z: *const f32, shear: &Shear) -> [__m256; 3] {
+unsafe fn sheared(x: __m256, y: __m256, z: __m256, shear: &Shear) -> [__m256; 3] {
     // SAFETY: as the caller vouches.
     unsafe {
         let [ox, oy, oz] = shear.origin();
         let [sx, sy] = shear.slopes();
         // Rounded after each step, never fused: the bound of `exact/filter.rs` counts on it.
-        let depth = _mm256_sub_ps(_mm256_loadu_ps(z), _mm256_set1_ps(oz));
-        let wide = _mm256_sub_ps(_mm256_loadu_ps(x), _mm256_set1_ps(ox));
-        let high = _mm256_sub_ps(_mm256_loadu_ps(y), _mm256_set1_ps(oy));
+        let depth = _mm256_sub_ps(z, _mm256_set1_ps(oz));
+        let wide = _mm256_sub_ps(x, _mm256_set1_ps(ox));
+        let high = _mm256_sub_ps(y, _mm256_set1_ps(oy));
         [
             _mm256_sub_ps(wide, _mm256_mul_ps(_mm256_set1_ps(sx), depth)),
             _mm256_sub_ps(high, _mm256_mul_ps(_mm256_set1_ps(sy), depth)),

@@ -13,15 +13,12 @@ use crate::format::Leaf;
 /// AVX2 and FMA must be there.
 #[inline(always)]
 pub(super) unsafe fn nearest(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough> {
-    let (begin, nv) = (leaf.coding().coordinates_at(), leaf.vertices());
-    let steps = nv.div_ceil(8);
-    if leaf.is_empty() || leaf.bytes().len() < begin + 4 * (2 * nv + 8 * steps) {
+    if leaf.is_empty() || leaf.bytes().len() < leaf.reach(8) {
         return scalar::rough::nearest(leaf, shear, range);
     }
-    // SAFETY: the caller vouches for the instructions; loads of axis k reach up to begin + 4 * (k * nv + 8 * steps), k <= 2, which
-    // was checked.
+    // SAFETY: the caller vouches for the instructions; all loads end before the reach, which lies within the leaf's bytes.
     unsafe {
-        let table = Table::of(leaf, shear, steps);
+        let table = Table::of(leaf, shear);
         let first = half(&table, 0, leaf.len(), shear, range);
         if leaf.len() <= 8 {
             return first;

@@ -13,12 +13,10 @@ use crate::format::{Coding, Leaf};
 /// AVX-512 must be there.
 #[inline(always)]
 pub(super) unsafe fn nearest(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) -> Option<Rough> {
-    let registers = leaf.vertices().div_ceil(16);
-    let reach = leaf.coding().coordinates_at() + 4 * (2 * leaf.vertices() + 16 * registers);
-    if leaf.is_empty() || leaf.bytes().len() < reach {
+    if leaf.is_empty() || leaf.bytes().len() < leaf.reach(16) {
         return scalar::rough::nearest(leaf, shear, range);
     }
-    // SAFETY: the caller vouches for the instructions; all loads end before `reach`, which lies within the leaf's bytes; the corner
+    // SAFETY: the caller vouches for the instructions; all loads end before the reach, which lies within the leaf's bytes; the corner
     // numbers lie in bytes 8..32 or 16..64 of the record.
     unsafe {
         let numbers = leaf.bytes().as_ptr();

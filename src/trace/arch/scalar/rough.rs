@@ -14,7 +14,7 @@ pub(in super::super) fn nearest(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2])
     }
 }
 
-/// The same over a table of N vertices, read in place where the page goes on long enough behind the leaf.
+/// The same over a table of N vertices, read in place where they are f32 and the page goes on long enough behind the leaf.
 #[inline]
 fn nearest_over<const N: usize>(
     leaf: &Leaf<'_>,
@@ -25,11 +25,7 @@ fn nearest_over<const N: usize>(
     match shear.axes.map(|axis| coordinates::<N>(leaf, axis)) {
         [Some(x), Some(y), Some(z)] => nearest_of([x, y, z], shear, corners, leaf.len(), range),
         _ => {
-            let copies = shear.axes.map(|axis| {
-                let mut copy = [0.0; N];
-                copy.iter_mut().zip(leaf.coordinates(axis)).for_each(|(to, from)| *to = *from);
-                copy
-            });
+            let copies = shear.axes.map(|axis| leaf.table::<N>(axis));
             nearest_of([&copies[0], &copies[1], &copies[2]], shear, corners, leaf.len(), range)
         }
     }
