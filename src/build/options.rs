@@ -228,5 +228,5 @@ pub(super) fn alone_bytes(layout: Layout, split: SplitMode) -> u64 {
 
 /// Bytes a triangle of a brick takes while the brick is built: its copy, the tree (see [`super::subtree`]), the page.
 pub(super) fn brick_bytes(layout: Layout) -> u64 {
-    180 + 10 * (layout.words() as u64 - 10)
+    200 + 10 * (layout.words() as u64 - 10)
 }
