@@ -66,9 +66,9 @@ impl Pairs {
                 let weight = (a.half_area() * b.half_area()).sqrt();
                 let apart = (b.centre() - a.centre()).to_array();
                 let reach = (0.5 * ((b.max - b.min) + (a.max - a.min))).to_array();
-                for axis in 0..3 {
+                for (axis, (apart, reach)) in apart.into_iter().zip(reach).enumerate() {
                     // 1 where b lies wholly above a, -1 where wholly below.
-                    let above = if apart[axis] == 0.0 { 0.0 } else { (apart[axis] / reach[axis]).clamp(-1.0, 1.0) };
+                    let above = if apart == 0.0 { 0.0 } else { (apart / reach).clamp(-1.0, 1.0) };
                     costs[axis][i][j] = weight * (1.0 - above);
                     costs[axis][j][i] = weight * (1.0 + above);
                 }
@@ -149,14 +149,12 @@ mod tests {
     /// The pairs that rays with all components positive (and, mirrored, negative) visit in the wrong order.
     fn wrong(children: &[Bounds]) -> usize {
         let slots: Vec<usize> = assign_slots(children).collect();
-        let mut count = 0;
-        for i in 0..slots.len() {
-            for j in 0..slots.len() {
-                let axis = 2 - ((slots[i] ^ slots[j]).checked_ilog2().unwrap_or(2) as usize);
-                count += usize::from(slots[i] < slots[j] && children[i].min[axis] > children[j].min[axis]);
-            }
-        }
-        count
+        let pairs = (0..slots.len()).flat_map(|i| (0..slots.len()).map(move |j| (i, j)));
+        let is_wrong = |&(i, j): &(usize, usize)| {
+            let axis = 2 - (slots[i] ^ slots[j]).ilog2() as usize;
+            children[i].min[axis] > children[j].min[axis]
+        };
+        pairs.filter(|&(i, j)| slots[i] < slots[j]).filter(is_wrong).count()
     }
 
     #[test]
