@@ -14,7 +14,7 @@ use super::snap::Positions;
 pub struct BuildOptions {
     /// How cells are split.
     pub split: SplitMode,
-    /// Most triangles in a page, at least 1; `None`: one page for up to some 130 thousand triangles (half of that with
+    /// Most triangles in a page, at least 1; `None`: one page for up to some 125 thousand triangles (half of that with
     /// attributes), beyond that 16384.
     pub brick: Option<u32>,
     /// Most triangles in a leaf record, 1 to 16.
@@ -228,5 +228,5 @@ pub(super) fn alone_bytes(layout: Layout, split: SplitMode) -> u64 {
 
 /// Bytes a triangle of a brick takes while the brick is built: its copy, the tree (see [`super::subtree`]), the page.
 pub(super) fn brick_bytes(layout: Layout) -> u64 {
-    180 + 10 * (layout.words() as u64 - 10)
+    200 + 10 * (layout.words() as u64 - 10)
 }

@@ -57,7 +57,7 @@ struct Tree {
     /// How cells are split
     #[arg(long, value_enum, default_value_t = Split::Sah)]
     split: Split,
-    /// Most triangles a page, from 1 [default: 16384; a mesh of up to some 130000 is one page]
+    /// Most triangles a page, from 1 [default: 16384; a mesh of up to some 125000 is one page]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     brick: Option<u32>,
     /// Most triangles in a leaf record, 1 to 16 [default: 16]

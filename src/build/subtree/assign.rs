@@ -1,54 +1,117 @@
 //! Which slot each child of a node takes, so that `slot XOR direction mask` runs near to far.
 //!
-//! Slot s stands for the octant whose axes are high where the bits of s are set (4x + 2y + z). The children are matched
-//! to the slots so that the sum of (child's centre - node's centre) . signs(s) is the greatest (Ylitie, Karras and
-//! Laine 2017, section 3.2, who use an auction). With eight slots the best matching is found outright, by dynamic
-//! programming over sets of slots: 1024 steps, the same on every machine.
+//! Slot s stands for the octant whose axes are high where the bits of s are set (4x + 2y + z). So which of two children a ray
+//! visits first depends on a single axis: x if their slots differ there, else y, else z. The order is right for all rays if
+//! the boxes lie side by side on that axis, for half of them if they reach over the same range of it. The best slots are
+//! those with the least sum, over all pairs, of the part of rays that would visit the farther box first, weighted by how often
+//! a ray meets both ([`Pairs`]). They are found outright: of the 70 ways to divide eight into four low and four high on x, each
+//! four has six ways to be divided on y, and so on; empty slots count as children that nothing is near.
+//!
+//! Ylitie, Karras and Laine (2017), section 3.2, match children to slots by the sum of (child's centre - node's centre) .
+//! signs(slot) instead. In interiors, where boxes overlap, rays visit 5 % more with that, on scans 1 %.
 
 use super::wide::Bounds;
 
-/// The slot of each of at most eight children. Among equal matchings, children take low slots first.
+/// The slot of each of at most eight children. Among equal choices, children take low slots first.
 pub(super) fn assign_slots(children: &[Bounds]) -> impl Iterator<Item = usize> {
-    let whole = children.iter().fold(Bounds::EMPTY, |b, &child| b.union(child));
-    let gain: Vec<[f64; 8]> = children.iter().map(|child| gains(*child, whole)).collect();
-
-    // best[set]: greatest gain when the first |set| children take exactly the slots of `set`; last[set]: the slot of
-    // the last of them.
-    let mut best = [f64::NEG_INFINITY; 256];
-    let mut last = [0u8; 256];
-    best[0] = 0.0;
-    for set in 1usize..256 {
-        let Some(gain) = gain.get(set.count_ones() as usize - 1) else { continue };
-        let mut rest = set;
-        while rest != 0 {
-            let slot = rest.ilog2() as usize;
-            rest ^= 1 << slot;
-            let sum = best[set ^ (1 << slot)] + gain[slot];
-            if sum > best[set] {
-                (best[set], last[set]) = (sum, slot as u8);
-            }
+    let pairs = Pairs::of(children);
+    // The best order of each four, and what it costs.
+    let mut fours = [([0u8; 4], 0.0f64); 256];
+    for set in sets_of_four() {
+        fours[set] = pairs.best_four(members(set));
+    }
+    let mut best = (f64::INFINITY, 0);
+    for set in sets_of_four() {
+        let (low, high) = (&fours[set], &fours[255 ^ set]);
+        let cost = low.1 + high.1 + pairs.across(X, &members(set), &members(255 ^ set));
+        if cost < best.0 {
+            best = (cost, set);
         }
     }
-
-    let mut set = (0usize..256)
-        .filter(|set| set.count_ones() as usize == children.len())
-        .reduce(|a, b| if best[b] > best[a] { b } else { a })
-        .unwrap_or(0);
-    let mut slots = [0usize; 8];
-    for slot in slots[..children.len()].iter_mut().rev() {
-        *slot = last[set].into();
-        set &= !(1 << *slot);
-    }
+    let mut slots = [0; 8];
+    let order = fours[best.1].0.into_iter().chain(fours[255 ^ best.1].0);
+    order.enumerate().for_each(|(slot, child)| slots[usize::from(child)] = slot);
     slots.into_iter().take(children.len())
 }
 
-/// What each slot is worth to a child.
-fn gains(child: Bounds, whole: Bounds) -> [f64; 8] {
-    let offset = child.centre() - whole.centre();
-    std::array::from_fn(|slot| {
-        let sign = |bit: usize, x: f64| if slot & bit != 0 { x } else { -x };
-        sign(4, offset.x) + sign(2, offset.y) + sign(1, offset.z)
+const X: usize = 0;
+const Y: usize = 1;
+const Z: usize = 2;
+
+/// The sets of four of eight, as bits, in ascending order.
+fn sets_of_four() -> impl Iterator<Item = usize> {
+    (0usize..256).filter(|set| set.count_ones() == 4)
+}
+
+/// The members of a set of four.
+fn members(set: usize) -> [u8; 4] {
+    let mut rest = set;
+    [(); 4].map(|()| {
+        let member = rest.trailing_zeros();
+        rest &= rest - 1;
+        member as u8
     })
+}
+
+/// What it costs, for two of eight children, that one is on the low side of the other on an axis.
+struct Pairs([[[f64; 8]; 8]; 3]);
+
+impl Pairs {
+    /// A pair counts as the geometric mean of its surfaces: measured against the smaller one, the product and the sum, all
+    /// within 1 %.
+    fn of(children: &[Bounds]) -> Pairs {
+        let mut costs = [[[0.0; 8]; 8]; 3];
+        for (i, a) in children.iter().enumerate() {
+            for (j, b) in children.iter().enumerate().take(i) {
+                let weight = (a.half_area() * b.half_area()).sqrt();
+                let apart = (b.centre() - a.centre()).to_array();
+                let reach = (0.5 * ((b.max - b.min) + (a.max - a.min))).to_array();
+                for (axis, (apart, reach)) in apart.into_iter().zip(reach).enumerate() {
+                    // 1 where b lies wholly above a, -1 where wholly below.
+                    let above = if apart == 0.0 { 0.0 } else { (apart / reach).clamp(-1.0, 1.0) };
+                    costs[axis][i][j] = weight * (1.0 - above);
+                    costs[axis][j][i] = weight * (1.0 + above);
+                }
+            }
+        }
+        Pairs(costs)
+    }
+
+    fn cost(&self, axis: usize, low: u8, high: u8) -> f64 {
+        self.0[axis][usize::from(low)][usize::from(high)]
+    }
+
+    /// The costs of all pairs between two groups.
+    fn across<const N: usize>(&self, axis: usize, low: &[u8; N], high: &[u8; N]) -> f64 {
+        low.iter().map(|&i| high.iter().map(|&j| self.cost(axis, i, j)).sum::<f64>()).sum()
+    }
+
+    /// The best order of four children that share their side of x, and what it costs.
+    fn best_four(&self, [a, b, c, d]: [u8; 4]) -> ([u8; 4], f64) {
+        let ways = [
+            ([a, b], [c, d]),
+            ([a, c], [b, d]),
+            ([a, d], [b, c]),
+            ([b, c], [a, d]),
+            ([b, d], [a, c]),
+            ([c, d], [a, b]),
+        ];
+        let mut best = ([a, b, c, d], f64::INFINITY);
+        for (low, high) in ways {
+            let ((low, below), (high, above)) = (self.best_two(low), self.best_two(high));
+            let cost = below + above + self.across(Y, &low, &high);
+            if cost < best.1 {
+                best = ([low[0], low[1], high[0], high[1]], cost);
+            }
+        }
+        best
+    }
+
+    /// The best order of two that differ on z only.
+    fn best_two(&self, [a, b]: [u8; 2]) -> ([u8; 2], f64) {
+        let (kept, swapped) = (self.cost(Z, a, b), self.cost(Z, b, a));
+        if kept <= swapped { ([a, b], kept) } else { ([b, a], swapped) }
+    }
 }
 
 #[cfg(test)]
@@ -81,5 +144,77 @@ mod tests {
         slots.sort_unstable();
         assert_eq!(slots, [0, 1, 2, 3, 4, 5, 6, 7]);
         assert_eq!(assign_slots(&[]).count(), 0);
+    }
+
+    /// The pairs that rays with all components positive (and, mirrored, negative) visit in the wrong order.
+    fn wrong(children: &[Bounds]) -> usize {
+        let slots: Vec<usize> = assign_slots(children).collect();
+        let pairs = (0..slots.len()).flat_map(|i| (0..slots.len()).map(move |j| (i, j)));
+        let is_wrong = |&(i, j): &(usize, usize)| {
+            let axis = 2 - (slots[i] ^ slots[j]).ilog2() as usize;
+            children[i].min[axis] > children[j].min[axis]
+        };
+        pairs.filter(|&(i, j)| slots[i] < slots[j]).filter(is_wrong).count()
+    }
+
+    #[test]
+    fn a_row_along_any_axis_is_in_order() {
+        // Only one axis tells them apart, so slots that differ on another put half of the pairs in the wrong order for half of
+        // the rays; no pair must be wrong on the axis that decides it.
+        for axis in 0..3 {
+            let children: Vec<Bounds> = (0..8)
+                .map(|i| {
+                    let mut at = [0.0; 3];
+                    at[axis] = f64::from((5 * i) % 8);
+                    cube(at[0], at[1], at[2])
+                })
+                .collect();
+            assert_eq!(wrong(&children), 0, "{axis}");
+            let slots: Vec<usize> = assign_slots(&children).collect();
+            let low = |i: usize| slots[i] & (4 >> axis) == 0;
+            assert!((0..8).all(|i| low(i) == ((5 * i) % 8 < 4) || axis > 0), "{axis} {slots:?}");
+        }
+    }
+
+    #[test]
+    fn no_exchange_of_two_slots_is_better() {
+        let mut seed = 1u64;
+        let mut random = || {
+            seed = seed.wrapping_mul(6364136223846793005).wrapping_add(1442695040888963407);
+            (seed >> 40) as f64 / f64::from(1 << 24)
+        };
+        for count in 1..=8 {
+            for _ in 0..20 {
+                let children: Vec<Bounds> = (0..count)
+                    .map(|_| {
+                        let min = DVec3::new(random(), random(), random());
+                        Bounds { min, max: min + 0.4 * DVec3::new(random(), random(), random()) }
+                    })
+                    .collect();
+                let pairs = Pairs::of(&children);
+                let cost = |slots: &[usize]| -> f64 {
+                    let pair = |i: usize, j: usize| {
+                        let axis = 2 - (slots[i] ^ slots[j]).ilog2() as usize;
+                        if slots[i] < slots[j] { pairs.0[axis][i][j] } else { pairs.0[axis][j][i] }
+                    };
+                    (0..count).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| pair(i, j)).sum()
+                };
+                let slots: Vec<usize> = assign_slots(&children).collect();
+                let best = cost(&slots);
+                for (from, to) in (0..8).flat_map(|from| (0..from).map(move |to| (from, to))) {
+                    let swap = |&slot: &usize| {
+                        if slot == from {
+                            to
+                        } else if slot == to {
+                            from
+                        } else {
+                            slot
+                        }
+                    };
+                    let other: Vec<usize> = slots.iter().map(swap).collect();
+                    assert!(cost(&other) >= best - 1e-12, "{slots:?} {other:?}");
+                }
+            }
+        }
     }
 }

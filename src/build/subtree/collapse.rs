@@ -130,6 +130,20 @@ impl Collapse<'_> {
     }
 }
 
+/// Nodes on the longest path of the 8-wide tree over a binary one.
+pub(super) fn levels(nodes: &[BinaryNode]) -> u32 {
+    let (mut deepest, mut stack) = (1, vec![(0, 1)]);
+    while let Some((node, level)) = stack.pop() {
+        if nodes[node].right == 0 || nodes[node].plan.0[0] == 0 {
+            continue;
+        }
+        deepest = deepest.max(level);
+        let (cut, len) = children(nodes, node);
+        stack.extend(cut[..len].iter().map(|&child| (child, level + 1)));
+    }
+    deepest
+}
+
 impl Linked for BinaryNode {
     fn link(&self) -> (usize, &Plan) {
         (self.right as usize, &self.plan)

@@ -2,26 +2,31 @@
 //!
 //! A brick is an octree cell (or the whole mesh). Its triangles are put into a canonical order (Morton code, then face),
 //! so that the result depends on the set of triangles alone. Then one of three ways to split makes an 8-wide tree in
-//! exact boxes ([`wide`]): surface-area splits ([`sah`]; with [`spatial`] ones where they pay) and an optimal collapse
+//! exact boxes ([`wide`]): surface-area splits ([`sah`]; mended, with [`spatial`] ones, where triangles are uneven: [`choice`]) and an optimal collapse
 //! ([`collapse`]), true octants
 //! ([`octree`]), or true octants with a reference in every overlapped cell ([`strict`]). [`emit`] quantises it into the
 //! records of FORMAT.md.
 //!
 //! Memory, sah mode, bytes a triangle: 16 for sorting, freed before 32 (box and number), about 40 (binary nodes) and 20
-//! to 25 (wide tree, nodes, leaves), 4 for the order: at most some 110 above the input's 40; where spatial splits are tried
-//! up to 30 % more, and the lists of a split, 40 a triangle while it is made. Octree mode: 12 instead of the first two;
+//! to 25 (wide tree, nodes, leaves), 4 for the order: at most some 110 above the input's 40; where a tree is mended its
+//! nodes twice; where spatial splits are tried all of it up to 30 % more, and the lists of a split, 40 a triangle while it is
+//! made. Octree mode: 12 instead of the first two;
 //! strict mode: per reference, and at most 32 of those a triangle.
 //!
 //! Not done here: choosing bricks, side arrays, pages.
 
 mod assign;
+mod binning;
 mod cell;
+mod choice;
+mod clip;
 mod collapse;
 mod emit;
 mod octree;
 mod primitive;
 mod quantise;
 mod record;
+mod reinsert;
 mod sah;
 mod spatial;
 mod strict;
@@ -105,7 +110,7 @@ pub fn build_subtree(triangles: &[BrickTriangle], cell: Cell, root: RootCube, op
     let tree = match options.split {
         SplitMode::Sah => {
             drop(sorted);
-            collapse::collapse(&spatial::best_tree(canonical, limits, options.repeats), &order, root)
+            collapse::collapse(&choice::best_tree(canonical, limits, options.repeats), &order, root)
         }
         SplitMode::Octree => {
             let codes: Vec<u64> = sorted.iter().map(|key| key.code).collect();

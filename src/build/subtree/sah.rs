@@ -1,7 +1,6 @@
 //! A binary tree by binned surface-area splits, and what it will cost as an 8-wide tree.
 //!
-//! Splits follow Wald (2007): on each axis the centres of the boxes fall into up to 16 bins, and the best of the borders
-//! between them is taken. Splitting goes on to a few triangles, well below what a leaf may hold: which subtrees become
+//! Lists are split at the best border between bins ([`super::binning`]). Splitting goes on to a few triangles, well below what a leaf may hold: which subtrees become
 //! leaves, which nodes dissolve into their parents, is decided by the costs of [`super::collapse`], which are summed here
 //! on the way up while both children's are at hand.
 //!
@@ -16,21 +15,15 @@
 //! a second place ([`super::spatial`]). Each side gets its part of the room that is left. Without room, and that is every
 //! mesh of evenly sized triangles, nothing of that is even looked for.
 
-use glam::Vec3A;
-
-use super::collapse::{Costs, Plan};
+use super::binning::{Binning, best_split};
+use super::collapse::{Costs, Plan, levels};
 use super::primitive::{Primitive, Span};
 use super::record::RecordLimits;
 use super::spatial;
 use crate::geometry::Triangle;
 
-/// Most bins an axis.
-const BINS: usize = 16;
 /// Lists up to this length are not split, if one record can hold them.
 const TERMINAL: usize = 3;
-/// So many triangles are added to each side's number where splits are compared: a leaf costs the same for few as for many, so even
-/// an all but empty side is not free. Makes about 1 % fewer visits than 0; 2 to 8 measure alike.
-const SIDE: u32 = 4;
 /// No path of the binary tree, so none of the 8-wide one, is longer: a file allows 64 nodes, of which the top tree may
 /// take 22. Over a million triangles this leaves 20 levels more than a balanced tree has.
 const DEPTH_LIMIT: u32 = 40;
@@ -49,7 +42,7 @@ pub(super) struct BinaryNode {
     pub max: [f32; 3],
     /// Distance to the right child; 0 = no children.
     pub right: u32,
-    /// First of its primitives; they lie together only where it has no children.
+    /// First of its primitives, if it has no children.
     pub first: u32,
     /// How many there are at most, those below it included: parts of a triangle that meet again below it count as one.
     pub count: u32,
@@ -83,6 +76,20 @@ pub(super) fn build(
     Binary { nodes, primitives, cost }
 }
 
+/// A tree of given nodes, planned anew; `None` if a path of the 8-wide tree would be too long. The nodes' paths are short
+/// enough for recursion.
+pub(super) fn planned(
+    nodes: Vec<BinaryNode>,
+    primitives: Vec<Primitive>,
+    triangles: Canonical<'_>,
+    limits: RecordLimits,
+) -> Option<Binary> {
+    let splitter = Splitter { triangles, limits, root_area: 0.0, spatial: false };
+    let mut tree = Binary { nodes, primitives, cost: 0.0 };
+    tree.cost = splitter.plan(&mut tree.nodes, &tree.primitives, 0).0.as_child();
+    (levels(&tree.nodes) <= DEPTH_LIMIT).then_some(tree)
+}
+
 /// The triangles in canonical order.
 #[derive(Clone, Copy)]
 pub(super) struct Canonical<'a> {
@@ -109,15 +116,6 @@ struct Splitter<'a> {
     spatial: bool,
 }
 
-/// Where to split: below which bin of which axis; what that costs, and how much of both sides' boxes is the same.
-#[derive(Clone, Copy)]
-struct Split {
-    axis: usize,
-    bin: usize,
-    cost: f64,
-    overlap: f64,
-}
-
 /// What a list is like.
 struct Summary {
     /// The box of the primitives.
@@ -138,38 +136,6 @@ impl Summary {
             sum.large |= primitive.large != 0;
         }
         sum
-    }
-}
-
-/// How centres fall into bins.
-#[derive(Clone, Copy)]
-struct Binning {
-    low: Vec3A,
-    scale: Vec3A,
-    bins: usize,
-}
-
-impl Binning {
-    /// `None` if all centres are the same.
-    fn new(centres: Span, count: usize) -> Option<Binning> {
-        let extent = centres.max - centres.min;
-        let bins = if count <= 16 { BINS / 2 } else { BINS };
-        // An axis without extent gets scale 0: all in bin 0, no split. One of denormal extent may get an infinite
-        // scale: its least centre then gives 0 * inf = NaN, which the cast to an integer makes bin 0.
-        let scale = Vec3A::select(extent.cmpgt(Vec3A::ZERO), Vec3A::splat(bins as f32) / extent, Vec3A::ZERO);
-        (extent.max_element() > 0.0).then_some(Binning { low: centres.min, scale, bins })
-    }
-
-    fn bin(&self, primitive: &Primitive) -> [usize; 3] {
-        let place = (primitive.centre() - self.low) * self.scale;
-        place.to_array().map(|p| (p as i32 as usize).min(self.bins - 1))
-    }
-
-    /// The same on one axis: the same operations, so the same bin.
-    fn bin_on(&self, axis: usize, primitive: &Primitive) -> usize {
-        let centre = 0.25 * primitive.min[axis] + 0.25 * primitive.max[axis];
-        let place = (centre - self.low[axis]) * self.scale[axis];
-        (place as i32 as usize).min(self.bins - 1)
     }
 }
 
@@ -226,6 +192,21 @@ impl Splitter<'_> {
         costs
     }
 
+    /// Plans the subtree of a node; its costs, and the number of the node after the last below it.
+    fn plan(&self, nodes: &mut [BinaryNode], primitives: &[Primitive], here: usize) -> (Costs, usize) {
+        let BinaryNode { min, max, right, .. } = nodes[here];
+        let area = Span { min: min.into(), max: max.into() }.half_area();
+        if right == 0 {
+            return (Costs::terminal(area), here + 1);
+        }
+        let (left, second) = self.plan(nodes, primitives, here + 1);
+        let (right, end) = self.plan(nodes, primitives, second);
+        let is_record = self.is_record(&nodes[here + 1..end], primitives, 0);
+        let (costs, plan) = Costs::of_parent(area, is_record, &left, &right);
+        nodes[here].plan = plan;
+        (costs, end)
+    }
+
     /// Divides what room is left between two parts, the second of which is moved behind the room of the first.
     fn share_room<'l>(
         &self,
@@ -275,7 +256,7 @@ impl Splitter<'_> {
             }
             return halves;
         }
-        let split = binning.map(|binning| self.best_split(primitives, &binning));
+        let split = binning.map(|binning| best_split(primitives, &binning, self.spatial));
         if !room.is_empty() && sum.large && split.as_ref().is_none_or(|s| s.overlap > OVERLAP * self.root_area) {
             let bound = split.as_ref().map_or(f64::INFINITY, |s| s.cost);
             let cut = spatial::best_cut(primitives, sum.span, room.len(), bound, self.triangles);
@@ -286,35 +267,6 @@ impl Splitter<'_> {
         let (Some(binning), Some(split)) = (binning, split) else { return halves };
         let middle = partition_in_place(&mut list[..count], |p| binning.bin_on(split.axis, p) < split.bin);
         if middle == 0 || middle == count { halves } else { [middle, count - middle] }
-    }
-
-    /// The split of least cost: area times [`side_cost`], summed over both sides.
-    fn best_split(&self, primitives: &[Primitive], binning: &Binning) -> Split {
-        let mut spans = [[Span::EMPTY; BINS]; 3];
-        let mut counts = [[0u32; BINS]; 3];
-        for primitive in primitives {
-            let (min, max) = (primitive.min(), primitive.max());
-            for (axis, bin) in binning.bin(primitive).into_iter().enumerate() {
-                spans[axis][bin] = spans[axis][bin].around(min, max);
-                counts[axis][bin] += 1;
-            }
-        }
-        let mut best = Split { axis: 0, bin: 1, cost: f64::INFINITY, overlap: 0.0 };
-        for axis in 0..3 {
-            if binning.scale[axis] > 0.0 {
-                let (cost, bin) = cheapest_border(&spans[axis], &counts[axis], binning.bins);
-                if cost < best.cost {
-                    best = Split { axis, bin, cost, overlap: 0.0 };
-                }
-            }
-        }
-        if self.spatial {
-            let union = |spans: &[Span]| spans.iter().fold(Span::EMPTY, |all, &span| all.union(span));
-            let (low, high) = spans[best.axis].split_at(best.bin);
-            let common = union(low).common(union(high));
-            best.overlap = if common.is_empty() { 0.0 } else { common.half_area() };
-        }
-        best
     }
 }
 
@@ -334,33 +286,6 @@ fn distinct(ids: &mut [u32]) -> &[u32] {
 /// Levels of a balanced tree over so many.
 fn ceil_log2(count: usize) -> u32 {
     count.next_power_of_two().trailing_zeros()
-}
-
-/// What a side of so many costs, per unit of area.
-pub(super) fn side_cost(count: u32) -> f64 {
-    f64::from(count + SIDE)
-}
-
-/// The cheapest border between bins, named by the bin above it. Borders with nothing on one side do not count.
-fn cheapest_border(spans: &[Span; BINS], counts: &[u32; BINS], bins: usize) -> (f64, usize) {
-    let mut above = [0.0f64; BINS];
-    let (mut span, mut count) = (Span::EMPTY, 0);
-    for bin in (1..bins).rev() {
-        span = span.union(spans[bin]);
-        count += counts[bin];
-        above[bin] = if count == 0 { f64::INFINITY } else { span.half_area() * side_cost(count) };
-    }
-    let mut best = (f64::INFINITY, 1);
-    (span, count) = (Span::EMPTY, 0);
-    for bin in 1..bins {
-        span = span.union(spans[bin - 1]);
-        count += counts[bin - 1];
-        let cost = span.half_area() * side_cost(count) + above[bin];
-        if count > 0 && cost < best.0 {
-            best = (cost, bin);
-        }
-    }
-    best
 }
 
 /// Moves those for which `is_low` holds to the front, in an order that depends on the input order alone; their number.

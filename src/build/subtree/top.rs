@@ -274,8 +274,8 @@ mod tests {
         assert_eq!((nodes.len(), depth), (1, 1));
         assert_eq!(nodes[0].slots, std::array::from_fn(|i| 0xc0 | i as u8));
         let (nodes, _) = build_top(&octree(&[(0, 0b1000_0010)]));
-        // Both lie at high z: the lower slots do as well.
-        assert_eq!(nodes[0].slots, [0xc0, 0x7f, 0x7f, 0x7f, 0x7f, 0x7f, 0xc1, 0x7f]);
+        // Both lie at high z, and x and y part them alike: they take the lowest slots that differ on one of these.
+        assert_eq!(nodes[0].slots, [0xc0, 0x7f, 0xc1, 0x7f, 0x7f, 0x7f, 0x7f, 0x7f]);
     }
 
     #[test]
@@ -285,7 +285,7 @@ mod tests {
         splits.push((0, 0b0100_0001));
         let (nodes, depth) = build_top(&octree(&splits));
         assert_eq!((nodes.len(), depth), (1, 1));
-        assert_eq!(nodes[0].slots, [0xc0, 0x7f, 0x7f, 0x7f, 0x7f, 0x7f, 0xc1, 0x7f]);
+        assert_eq!(nodes[0].slots, [0xc0, 0x7f, 0xc1, 0x7f, 0x7f, 0x7f, 0x7f, 0x7f]);
     }
 
     #[test]

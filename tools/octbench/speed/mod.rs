@@ -37,8 +37,8 @@ pub struct Options {
     /// The octree file
     #[arg(value_name = "MODEL.oct")]
     model: PathBuf,
-    /// A camera: bunny-over, bunny-close, planet-over, planet-close, or NAME=EYE/LOOK/UP/FOV/LIGHT with points as X,Y,Z; may be
-    /// repeated [default: one that takes in everything]
+    /// A camera: bunny-over, bunny-close, planet-over, planet-close, kitchen-outside, kitchen-inside, or
+    /// NAME=EYE/LOOK/UP/FOV/LIGHT with points as X,Y,Z; may be repeated [default: one that takes in everything]
     #[arg(long = "view", value_name = "VIEW", value_parser = View::parse)]
     views: Vec<View>,
     /// Kinds of rays to make [default: all; none where files of rays are given]
