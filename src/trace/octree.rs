@@ -10,14 +10,11 @@ use super::flight::{Flight, STACKS, WORTHWHILE};
 use super::near::Near;
 use super::packet::{self, PACKET};
 use super::setup::Scene;
-use super::walk::File;
+use super::walk::{CACHED, File};
 use super::{Counters, Found, Tracer, batch};
 use crate::error::Result;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
-
-/// On files up to this size, which mostly stay in the processor's caches, rays are never walked several at a time: measured.
-const CACHED: u64 = 4 << 20;
 
 /// Answers rays by walking an octree file. `O` is `&Octree`, `Arc<Octree>`, or `Octree` itself.
 #[derive(Clone)]

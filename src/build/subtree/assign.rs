@@ -20,7 +20,7 @@ pub(super) fn assign_slots(children: &[Bounds]) -> impl Iterator<Item = usize> {
     for set in sets_of_four() {
         fours[set] = pairs.best_four(members(set));
     }
-    let mut best = (f64::INFINITY, 0);
+    let mut best = (f64::INFINITY, 0b1111);
     for set in sets_of_four() {
         let (low, high) = (&fours[set], &fours[255 ^ set]);
         let cost = low.1 + high.1 + pairs.across(X, &members(set), &members(255 ^ set));
