@@ -11,7 +11,8 @@
 //!
 //! A surface met toward the end of the segment may pass through the point (an edge, the other half of a rectangle, a twin
 //! face), as far as f64 can tell. It separates the origin from the ray's path if the origin and the path lie on different sides
-//! of it. In a crease that is sharper than the
+//! of it. The point itself may well lie behind it: on a ridge so flat (two triangles of a face whose corners were rounded) that the
+//! segment's rounding decides which of the two it passes. In a crease that is sharper than the
 //! origin's distance the way along the normal is blocked; then the origin is looked for along the path instead. Where
 //! that is blocked too (sheets one ulp apart), the blocker is what the secondary ray meets first.
 
@@ -29,6 +30,8 @@ use crate::error::Result;
 const UP_THE_PATH: [f64; 2] = [1.0 / 1024.0, 1.0 / (1 << 18) as f64];
 /// The last part of the segment, in parts of its length, in which a surface may pass through the point.
 const END: f64 = 1.0 / 256.0;
+/// How far beyond its end the segment is traced, in parts of its length: more than its rounding (2^-23) can shorten it.
+const BEYOND: f64 = 1.0 / (1 << 20) as f64;
 /// Segments shorter than this (2^-60) have their direction scaled up, so that f32 holds it with all its digits.
 const SHORT: f64 = 1.0 / (1u64 << 60) as f64;
 /// Most surfaces looked at on one segment.
@@ -42,6 +45,8 @@ const ALONG_PATH: [f64; 4] = [1.0, 4.0, 16.0, 64.0];
 pub(super) struct Path {
     pub direction: DVec3,
     pub reach: Option<f64>,
+    /// Where the ray came from, if that is where it is free up to: an exact point.
+    pub origin: Option<DVec3>,
 }
 
 /// How a surface is left.
@@ -96,7 +101,7 @@ impl World {
     #[inline]
     pub(super) fn first_origin(&self, side: &Side<'_>, path: Path) -> Option<(Origin, WorldRay)> {
         let origin = self.beside(side, side.normal + path.direction, 1.0)?;
-        let (segment, _) = segment(side, &origin, path);
+        let Segment { ray: segment, .. } = segment(side, &origin, path);
         Some((origin, segment))
     }
 
@@ -150,12 +155,14 @@ impl World {
 
     /// The surface nearest to the spot that lies between it and `origin`, and the segment that found it.
     fn blocker(&self, side: &Side<'_>, origin: &Origin, path: Path) -> Result<Option<Blocker>> {
-        let (whole, end) = segment(side, origin, path);
+        let Segment { ray: whole, end, target } = segment(side, origin, path);
+        // Where the way up the path is free, its end is known to be on the right side of everything.
+        let free = if path.reach.is_some() { target } else { side.spot.point };
         let (mut left, mut blocker) = (whole, None);
         for _ in 0..MOST_SHEETS {
             let Some(contact) = self.closest(&left, side.spot.omit)? else { break };
             let at_end = f64::from(contact.t) >= (1.0 - END) * end;
-            if !at_end || self.separates(&contact, &whole, side.spot.point, path.direction)? {
+            if !at_end || self.separates(&contact, &whole, free, side.spot.point, path.direction)? {
                 blocker = Some(Blocker { contact, segment: whole });
             }
             left.tmin = contact.t.next_up();
@@ -163,10 +170,10 @@ impl World {
         Ok(blocker)
     }
 
-    /// Whether the surface at `contact` lies between the segment's origin and the point; if it passes through the point, whether
-    /// between the origin and what lies along `path` from there.
-    fn separates(&self, contact: &Contact, segment: &WorldRay, point: DVec3, path: DVec3) -> Result<bool> {
-        if let Some(apart) = self.apart(contact, segment, point) {
+    /// Whether the surface at `contact` lies between the segment's origin and `free`; if it passes through that, whether
+    /// between the origin and what lies along `path` from the spot's point.
+    fn separates(&self, contact: &Contact, segment: &WorldRay, free: DVec3, point: DVec3, path: DVec3) -> Result<bool> {
+        if let Some(apart) = self.apart(contact, segment, free) {
             return Ok(apart);
         }
         let (a, b) = (segment.origin - point, path);
@@ -178,18 +185,27 @@ impl World {
     }
 }
 
-/// The segment from `origin` back to the spot and a little way up the path, and its parameter there.
+/// The segment from an origin back to the spot and a little way up the path.
+struct Segment {
+    ray: WorldRay,
+    /// The parameter of its end.
+    end: f64,
+    /// The point there, before rounding.
+    target: DVec3,
+}
+
 #[inline]
-fn segment(side: &Side<'_>, origin: &Origin, path: Path) -> (WorldRay, f64) {
+fn segment(side: &Side<'_>, origin: &Origin, path: Path) -> Segment {
     let point = side.spot.point;
     let distance = (point - origin.world).length();
-    let up = match path.reach {
-        Some(reach) => (distance * UP_THE_PATH[0]).min(reach / 2.0),
-        None => distance * UP_THE_PATH[1],
+    let target = match path {
+        // So short a way leads to a point that rounding would move past its neighbours; where it began is exact.
+        Path { reach: Some(reach), origin: Some(from), .. } if reach / 2.0 < distance * UP_THE_PATH[0] => from,
+        Path { reach: Some(reach), .. } => point + path.direction * (distance * UP_THE_PATH[0]).min(reach / 2.0),
+        Path { reach: None, .. } => point + path.direction * (distance * UP_THE_PATH[1]),
     };
-    let target = point + path.direction * up;
     let back = target - origin.world;
     let scale = if back.abs().max_element() < SHORT { (1u64 << 60) as f64 } else { 1.0 };
     let end = 1.0 / scale;
-    (WorldRay::from(origin, back * scale, ((1.0 + END) * end) as f32), end)
+    Segment { ray: WorldRay::from(origin, back * scale, ((1.0 + BEYOND) * end) as f32), end, target }
 }

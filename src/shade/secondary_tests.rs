@@ -278,3 +278,49 @@ fn a_light_in_the_plane_or_at_the_point_itself_gives_nothing() {
         }
     }
 }
+
+/// A box at 1e6, where a step of f32 is 1/16: its faces are rounded, and so are ridges or grooves along their diagonals. Each path once
+/// found such a ridge, met beyond the end of the segment, to lie between the face and its origin, and left the box by it.
+#[test]
+fn flat_ridges_far_away_let_nobody_out() {
+    let corner = |i: usize| {
+        Vec3::from_array(
+            [
+                [999902.06, 999977.44, 1000046.75],
+                [999939.44, 1000092.7, 1000005.5],
+                [999983.9, 1000039.7, 999897.75],
+                [999946.44, 999924.44, 999939.06],
+                [1000016.1, 999960.3, 1000102.25],
+                [1000060.56, 999907.3, 999994.5],
+                [1000097.94, 1000022.56, 999953.25],
+                [1000053.56, 1000075.56, 1000060.94],
+            ][i],
+        )
+    };
+    let faces = [
+        [0, 1, 2],
+        [0, 2, 3],
+        [4, 5, 6],
+        [4, 6, 7],
+        [0, 3, 5],
+        [0, 5, 4],
+        [1, 7, 6],
+        [1, 6, 2],
+        [0, 4, 7],
+        [0, 7, 1],
+        [3, 2, 6],
+        [3, 6, 5],
+    ];
+    let triangles = faces.map(|[a, b, c]| Triangle { a: corner(a), b: corner(b), c: corner(c) });
+    let world = world(triangles.to_vec(), DAffine3::IDENTITY, Vec::new(), MIRROR);
+    for ([x, y, z], [u, v, w]) in [
+        ([999917.625, 999961.625, 1000010.5], [0.7087795734405518, -0.04459892585873604, 0.704018771648407]),
+        ([999971.1875, 999961.625, 1000064.125], [0.14379113912582397, 0.9382317662239075, -0.3147145211696625]),
+    ] {
+        let ray = WorldRay::new(DVec3::new(x, y, z), DVec3::new(u, v, w));
+        let met = follow(&world, ray, 1000, |origin| {
+            assert!(triangles.iter().all(|t| (origin - t.a).dot((t.b - t.a).cross(t.c - t.a)) < 0.0), "{origin}");
+        });
+        assert_eq!(met, 1000);
+    }
+}

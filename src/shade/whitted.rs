@@ -54,14 +54,16 @@ pub(super) struct Meeting {
     pub incoming: DVec3,
     /// How far back its way is known to be free.
     reach: f64,
+    /// Where it began, if it is free all the way.
+    origin: Option<DVec3>,
 }
 
 impl Meeting {
     /// The free space on the side from which the ray came (`near`), or behind the surface.
     pub fn path(&self, near: bool) -> Path {
         match near {
-            true => Path { direction: -self.incoming, reach: Some(self.reach) },
-            false => Path { direction: self.incoming, reach: None },
+            true => Path { direction: -self.incoming, reach: Some(self.reach), origin: self.origin },
+            false => Path { direction: self.incoming, reach: None, origin: None },
         }
     }
 }
@@ -93,7 +95,7 @@ impl World {
     pub(super) fn meet_contact(&self, ray: &WorldRay, contact: &Contact) -> Result<Meeting> {
         let spot = self.spot(contact, ray)?;
         let reach = (spot.point - ray.origin).length();
-        Ok(Meeting { spot, incoming: ray.direction.normalize_or_zero(), reach })
+        Ok(Meeting { spot, incoming: ray.direction.normalize_or_zero(), reach, origin: Some(ray.origin) })
     }
 
     /// Where a ray meets what it is known to meet at once.
@@ -105,7 +107,7 @@ impl World {
         let against = -segment.direction.normalize_or_zero();
         let incoming = if incoming.dot(spot.normal) < 0.0 { incoming } else { against };
         let reach = f64::from(segment.tmax - contact.t).max(0.0) * segment.direction.length();
-        Ok(Meeting { spot, incoming, reach })
+        Ok(Meeting { spot, incoming, reach, origin: None })
     }
 
     /// The diffuse and specular light that `light` gives if nothing lies between; zero for one behind the surface.
