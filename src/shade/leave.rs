@@ -28,10 +28,9 @@ use crate::error::Result;
 /// How far up the path the segment ends, in parts of the origin's distance from the point: where the path is known to be free,
 /// and where it is not.
 const UP_THE_PATH: [f64; 2] = [1.0 / 1024.0, 1.0 / (1 << 18) as f64];
-/// The last part of the segment, in parts of its length, in which a surface may pass through the point.
+/// The last part of the segment, in parts of its length, in which a surface may pass through the point; it is traced as far beyond its end
+/// too, since rounding moves what is met there.
 const END: f64 = 1.0 / 256.0;
-/// How far beyond its end the segment is traced, in parts of its length: more than its rounding (2^-23) can shorten it.
-const BEYOND: f64 = 1.0 / (1 << 20) as f64;
 /// Segments shorter than this (2^-60) have their direction scaled up, so that f32 holds it with all its digits.
 const SHORT: f64 = 1.0 / (1u64 << 60) as f64;
 /// Most surfaces looked at on one segment.
@@ -156,8 +155,8 @@ impl World {
     /// The surface nearest to the spot that lies between it and `origin`, and the segment that found it.
     fn blocker(&self, side: &Side<'_>, origin: &Origin, path: Path) -> Result<Option<Blocker>> {
         let Segment { ray: whole, end, target } = segment(side, origin, path);
-        // Where the way up the path is free, its end is known to be on the right side of everything.
-        let free = if path.reach.is_some() { target } else { side.spot.point };
+        // Where a ray came all the way up to here, the segment's end is known to be on the right side of everything.
+        let free = if path.origin.is_some() { target } else { side.spot.point };
         let (mut left, mut blocker) = (whole, None);
         for _ in 0..MOST_SHEETS {
             let Some(contact) = self.closest(&left, side.spot.omit)? else { break };
@@ -207,5 +206,5 @@ fn segment(side: &Side<'_>, origin: &Origin, path: Path) -> Segment {
     let back = target - origin.world;
     let scale = if back.abs().max_element() < SHORT { (1u64 << 60) as f64 } else { 1.0 };
     let end = 1.0 / scale;
-    Segment { ray: WorldRay::from(origin, back * scale, ((1.0 + BEYOND) * end) as f32), end, target }
+    Segment { ray: WorldRay::from(origin, back * scale, ((1.0 + END) * end) as f32), end, target }
 }

@@ -66,7 +66,8 @@ fn next_slot(level: &mut Level, order: u8) -> usize {
     slot.into()
 }
 
-/// Goes into the next slot, an inner node: makes its level, of which only the slots are missing.
+/// Goes into the next slot, an inner node: makes its level, of which only the slots are missing. Children lie behind their parent: bytes that
+/// say otherwise, as no sound page has them, must not lead back to it.
 #[inline(always)]
 pub(super) fn descend<C, K: Kernel>(kernel: K, aloft: &mut Flying<'_, K, C>, stack: &mut [Level; DEPTH]) {
     let way = &aloft.setup.way;
@@ -74,7 +75,7 @@ pub(super) fn descend<C, K: Kernel>(kernel: K, aloft: &mut Flying<'_, K, C>, sta
     let level = &mut stack[top];
     let parent = node(aloft.nodes, level.node);
     let slot = next_slot(level, way.order);
-    let index = level.node.wrapping_add(parent.first_child).wrapping_add(u32::from(parent.slots[slot] & 7));
+    let index = level.node.wrapping_add(parent.first_child.max(1)).wrapping_add(u32::from(parent.slots[slot] & 7));
     let (frame, near) = kernel.load(&level.saved);
     let frame = kernel.child(frame, parent, slot, way);
     let page = level.page;
@@ -144,7 +145,11 @@ pub(super) fn find<'a, C, K: Kernel>(
     let level = &mut stack[aloft.top as usize % DEPTH];
     let parent = node(aloft.nodes, level.node);
     let slot = next_slot(level, aloft.setup.way.order);
-    aloft.leaf = file.stored(&aloft.view, level.node, parent, parent.slots[slot], counters);
+    // The top has no leaves; a slot there that seems to name one is of a file cut short.
+    aloft.leaf = match level.page == aloft.view.number {
+        true => file.stored(&aloft.view, level.node, parent, parent.slots[slot], counters),
+        false => None,
+    };
 }
 
 /// Tests the triangles of the leaf that was found.
