@@ -180,19 +180,33 @@ fn one_by_one<K: Kernel, A: Ask>(
 #[inline(always)]
 fn keep<A: Ask>(stored: &Stored<'_>, group: &mut Group, taken: u32) {
     let leaf = &stored.leaf;
+    // Once a leaf, not once a hit.
+    let floats = match [0, 1, 2].map(|axis| leaf.coordinates(axis)) {
+        [Coordinates::Floats(x), Coordinates::Floats(y), Coordinates::Floats(z)] => Some([x, y, z]),
+        _ => None,
+    };
     let mut last = (u32::MAX, FaceId::NONE);
     let mut rest = taken;
     while rest != 0 {
         let i = rest.trailing_zeros() as usize & (WIDE - 1);
         rest &= rest - 1;
         let j = group.which[i];
-        if A::EXACT
-            && let Some([a, b, c]) = leaf.corner_points(j as usize)
-        {
-            for axis in 0..3 {
-                let block = &mut group.block;
-                (block.a[axis].0[i], block.b[axis].0[i], block.c[axis].0[i]) = (a[axis], b[axis], c[axis]);
+        let block = &mut group.block;
+        match floats {
+            Some([x, y, z]) if A::EXACT => {
+                let [a, b, c] = leaf.corners(j as usize);
+                for (rows, k) in [(&mut block.a, a), (&mut block.b, b), (&mut block.c, c)] {
+                    let (Some(&x), Some(&y), Some(&z)) = (x.get(k), y.get(k), z.get(k)) else { continue };
+                    (rows[0].0[i], rows[1].0[i], rows[2].0[i]) = (x, y, z);
+                }
             }
+            None if A::EXACT => {
+                let [a, b, c] = leaf.corner_points(j as usize).unwrap_or_default();
+                for axis in 0..3 {
+                    (block.a[axis].0[i], block.b[axis].0[i], block.c[axis].0[i]) = (a[axis], b[axis], c[axis]);
+                }
+            }
+            _ => {}
         }
         if j != last.0 {
             last = (j, stored.face(j));
