@@ -33,12 +33,28 @@ const END: u64 = 64 << 10;
 ///
 /// `read` says how the mesh is read; it is built with [`BuildOptions::default`].
 pub fn open_or_build(mesh: &Path, read: &ReadOptions, monitor: Monitor<'_>) -> Result<Octree> {
-    let user_folder = dirs::cache_dir().map(|folder| folder.join("octrace"));
-    open_or_build_in(mesh, read, user_folder.as_deref(), monitor)
+    open_or_build_in(mesh, read, BuildOptions::default().memory, user_folder().as_deref(), monitor)
+}
+
+/// The same within `memory` bytes, if it has to be built; the octree file's path instead of the opened file.
+pub fn find_or_build(mesh: &Path, read: &ReadOptions, memory: u64, monitor: Monitor<'_>) -> Result<PathBuf> {
+    let octree = open_or_build_in(mesh, read, memory, user_folder().as_deref(), monitor)?;
+    Ok(octree.path().to_owned())
+}
+
+/// Where octree files are kept that cannot be kept beside their meshes.
+fn user_folder() -> Option<PathBuf> {
+    dirs::cache_dir().map(|folder| folder.join("octrace"))
 }
 
 /// [`open_or_build`] with the user's cache folder given.
-fn open_or_build_in(mesh: &Path, read: &ReadOptions, user: Option<&Path>, monitor: Monitor<'_>) -> Result<Octree> {
+fn open_or_build_in(
+    mesh: &Path,
+    read: &ReadOptions,
+    memory: u64,
+    user: Option<&Path>,
+    monitor: Monitor<'_>,
+) -> Result<Octree> {
     if mesh.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("oct")) {
         return Octree::open(mesh);
     }
@@ -51,7 +67,7 @@ fn open_or_build_in(mesh: &Path, read: &ReadOptions, user: Option<&Path>, monito
     }
     for place in places() {
         if place.is_free() && place.prepare() {
-            place.build(mesh, read, source, monitor)?;
+            place.build(mesh, read, memory, source, monitor)?;
             return Octree::open(&place.octree);
         }
     }
@@ -205,8 +221,16 @@ impl Place {
     }
 
     /// Builds the octree file, then writes its key.
-    fn build(&self, mesh: &Path, read: &ReadOptions, source: Source, monitor: Monitor<'_>) -> Result<()> {
-        let options = BuildOptions { origin: read.origin, name: Some(mesh.to_owned()), ..BuildOptions::default() };
+    fn build(
+        &self,
+        mesh: &Path,
+        read: &ReadOptions,
+        memory: u64,
+        source: Source,
+        monitor: Monitor<'_>,
+    ) -> Result<()> {
+        let name = Some(mesh.to_owned());
+        let options = BuildOptions { origin: read.origin, name, memory, ..BuildOptions::default() };
         build(mesh::open(mesh, read)?.as_mut(), &self.octree, &options, monitor)?;
         let header = header_checksum(&self.octree).unwrap_or_default();
         let key = Key { key_of: KEY_OF.into(), format: VERSION, source, header };
@@ -241,7 +265,7 @@ mod tests {
     const TRIANGLE: &str = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 1 1 1\nf 1 2 3\n";
 
     fn open(mesh: &Path, user: &Path) -> Result<Octree> {
-        open_or_build_in(mesh, &ReadOptions::default(), Some(user), Monitor::silent())
+        open_or_build_in(mesh, &ReadOptions::default(), 1 << 30, Some(user), Monitor::silent())
     }
 
     #[test]

@@ -18,7 +18,7 @@ pub mod scene;
 pub mod shade;
 pub mod trace;
 
-pub use cache::open_or_build;
+pub use cache::{find_or_build, open_or_build};
 pub use error::{Diagnostic, Error, Kind, Result, Severity};
 pub use event::{Event, Monitor};
 

@@ -58,7 +58,8 @@ fn read_back(path: &Path) -> Vec<Stored> {
     let octree = Octree::open(path).unwrap();
     octree.verify(Monitor::silent()).unwrap();
     let mut all = Vec::new();
-    for page in (0..octree.header().pages).map(|page| octree.page(PageId(page)).unwrap()) {
+    let visit = octree.visit();
+    for page in (0..octree.header().pages).map(|page| visit.page(PageId(page)).unwrap()) {
         let header = page.header();
         let mut at = header.leaf_offset as usize;
         while at < (header.leaf_offset + header.leaf_bytes) as usize {

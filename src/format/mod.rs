@@ -26,7 +26,7 @@ pub use header::{Dropped, Flags, HEADER_BYTES, Header, MAGIC, Section, SectionKi
 pub use leaf::{Coding, LEAF_MAX, Leaf, LeafUnit, Points};
 pub use material::MaterialRecord;
 pub use node::{DEPTH_MAX, Frame, Node, Slot};
-pub use pack::{pack, unpack};
+pub use pack::{pack, unpack_into};
 pub use page::{Brick, LEAF_PADDING, PAGE_HEADER_BYTES, PageHeader, PageId, PageRecord, SideArrays};
 pub use validate::validate_page;
 pub(crate) use validate_top::string_at;

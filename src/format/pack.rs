@@ -1,18 +1,15 @@
 //! Pages as zstd frames (RFC 8878), for shipping and slow disks.
 
-use super::Node;
-
 /// A page as it is stored in a packed file; `level` as zstd counts, 1 to 22.
 pub fn pack(page: &[u8], level: i32) -> std::io::Result<Vec<u8>> {
     zstd::bulk::compress(page, level)
 }
 
-/// The page of `bytes` bytes that was packed as `stored`, aligned as a mapped one would be.
-pub fn unpack(stored: &[u8], bytes: u32) -> Result<Box<[Node]>, String> {
-    let mut page = vec![Node::EMPTY; bytes as usize / size_of::<Node>()].into_boxed_slice();
-    match zstd::bulk::decompress_to_buffer(stored, bytemuck::cast_slice_mut(&mut page)) {
-        Ok(n) if n == bytes as usize => Ok(page),
-        Ok(n) => Err(format!("it unpacks to {n} bytes instead of {bytes}")),
+/// Unpacks what was packed as `stored`, which must fill `page`.
+pub fn unpack_into(stored: &[u8], page: &mut [u8]) -> Result<(), String> {
+    match zstd::bulk::decompress_to_buffer(stored, page) {
+        Ok(n) if n == page.len() => Ok(()),
+        Ok(n) => Err(format!("it unpacks to {n} bytes instead of {}", page.len())),
         Err(error) => Err(format!("it cannot be unpacked ({error})")),
     }
 }
@@ -27,10 +24,12 @@ mod tests {
         for level in [1, 19] {
             let stored = pack(&page, level).unwrap();
             assert!(stored.len() < page.len());
-            let back = unpack(&stored, 640).unwrap();
-            assert!(bytemuck::cast_slice::<Node, u8>(&back) == page);
-            assert!(unpack(&stored, 704).unwrap_err().contains("640 bytes instead of 704"));
-            assert!(unpack(&stored, 64).is_err() && unpack(&stored[..stored.len() - 1], 640).is_err());
+            let mut back = [0; 640];
+            unpack_into(&stored, &mut back).unwrap();
+            assert!(back[..] == page);
+            assert!(unpack_into(&stored, &mut [0; 704]).unwrap_err().contains("640 bytes instead of 704"));
+            assert!(unpack_into(&stored, &mut [0; 64]).is_err());
+            assert!(unpack_into(&stored[..stored.len() - 1], &mut back).is_err());
         }
     }
 }

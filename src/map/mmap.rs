@@ -1,4 +1,5 @@
-//! The only memory map of the library, and the guard that keeps a file cut short from killing the process.
+//! The memory maps of the library: of files, with the guard that keeps a file cut short from killing the process, and, in
+//! `arena`, of memory for pages that are read.
 //!
 //! Reading a mapped page that lies beyond the end of its file raises SIGBUS. A handler, installed once, looks the address
 //! up in a registry of our mappings; if it is one of ours, it maps a page of zeros over the fault, marks the mapping
@@ -9,10 +10,14 @@
 //! only a deliberate act does that; what is read is then unspecified bytes, bounded by the checks of safe code.
 #![allow(unsafe_code)]
 
+mod arena;
+
 use std::fs::File;
 use std::io;
 
 use memmap2::Mmap;
+
+pub(crate) use arena::{Arena, Visit};
 
 /// A file mapped for reading.
 pub(crate) struct Mapping {

@@ -1,10 +1,16 @@
 //! The opened octree file: header and top at once, pages when they are first used.
 //!
-//! [`Octree::open`] maps the file and checks header and top, which takes time by the count of pages, not by their
-//! size. [`Octree::page`] checks a page's checksum and structure when it is first asked for and remembers that it is
-//! sound; a page of a packed file is unpacked then, and kept. [`Octree::verify`] checks all of it. A file cut short while it is mapped reads as zeros from there on
-//! (`mmap.rs`), and [`Octree::fault`] says so: ask it before trusting what was read.
+//! There are two ways to read one ([`Read`]), with the same answers. *Mapped*, the file's bytes are used where they lie in the system's
+//! page cache (`mapped.rs`). *Budgeted*, pages are read, and unpacked, into a cache of a given size by threads of their own
+//! (`cache/`), so that no more memory is taken whatever the file's size. Pages are used through a [`Visit`], which gives a page
+//! or says that it is not in memory; [`Octree::with_page`] waits for one.
+//!
+//! Opening reads and checks header and top: some 75 bytes a page, a few thousandths of a file. A page's checksum and structure are checked
+//! when it is first used, its checksum whenever it is read again. [`Octree::verify`] checks all of it. A file cut short while it is mapped
+//! reads as zeros from there on (`mmap.rs`), and [`Octree::fault`] says so: ask it before trusting what was read.
 
+mod cache;
+mod mapped;
 mod mmap;
 mod page;
 #[cfg(test)]
@@ -13,67 +19,175 @@ mod survey;
 #[cfg(test)]
 mod tests;
 mod verify;
+mod visit;
 
 use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
-use std::sync::OnceLock;
-use std::sync::atomic::{AtomicBool, Ordering};
 
 use glam::{DVec3, Vec3};
 
 use crate::error::{Error, Result};
 use crate::format::{
-    Brick, Flags, Header, LeafUnit, MaterialRecord, Node, PageId, PageRecord, Refusal, SectionKind, TopView, checksum,
-    read_header, string_at, unpack, validate_page, validate_top,
+    Brick, Flags, HEADER_BYTES, Header, LeafUnit, MaterialRecord, Node, PageId, PageRecord, Refusal, SectionKind,
+    TopView, checksum, read_header, string_at, validate_top,
 };
 use crate::geometry::{Aabb, RootCube};
+use cache::Cache;
+use mapped::Mapped;
 use mmap::Mapping;
 
+pub(crate) use cache::Ticket;
 pub use page::Page;
 pub use survey::Parts;
+pub use visit::{Halt, Visit};
+
+/// How a file's pages come into memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Read {
+    /// Used where the system maps them; memory is the system's care. Not for packed files.
+    Mapped,
+    /// Read into a cache that takes at most so many bytes for pages; [`Octree::least_cache`] at least.
+    Budgeted {
+        /// Bytes of memory for pages.
+        cache: u64,
+    },
+}
+
+/// What was read of a file so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Figures {
+    /// Pages of the file.
+    pub total: u64,
+    /// Different pages that were used.
+    pub touched: u64,
+    /// Their bytes as they are stored.
+    pub bytes_touched: u64,
+    /// Pages read, and of these those that had been read before.
+    pub read: u64,
+    /// Pages read again, as they had been evicted.
+    pub reread: u64,
+    /// Bytes read of pages.
+    pub bytes_read: u64,
+    /// How often a page was entered that was there; 0 for a mapped file, where that is not counted.
+    pub entered: u64,
+    /// How often a thread had nothing to do but to wait for a page.
+    pub stalls: u64,
+    /// For how long in all, seconds.
+    pub stalled_seconds: f64,
+    /// The most memory that pages took at a time, bytes; 0 for a mapped file.
+    pub most_bytes: u64,
+}
 
 /// An octree file, opened. Cheap to open: header and top are checked; a page is checked when it is first used.
 pub struct Octree {
     path: PathBuf,
-    map: Mapping,
     header: Header,
-    /// Where the sections lie in the map, by kind - 1; empty for those the file has not.
+    /// Where the sections lie, by kind - 1, in the map or in `top`; empty for those the file has not.
     sections: [Range<usize>; 5],
-    /// Which pages were checked and found sound.
-    sound: Box<[AtomicBool]>,
-    /// The pages of a packed file, each unpacked when it is first used; empty for one that is not packed.
-    unpacked: Box<[OnceLock<Box<[Node]>>]>,
+    /// What follows the pages; empty for a mapped file.
+    top: Box<[Node]>,
+    pages: Pages,
+}
+
+enum Pages {
+    Mapped(Mapped),
+    Cached(Cache),
 }
 
 impl Octree {
-    /// Opens a file: maps it, checks header and top.
+    /// Opens a file: mapped, or a packed one with a cache of half of the memory that is free.
     ///
     /// Errors: a missing file, another kind of file or a newer version (input), a damaged one, or the system's.
     pub fn open(path: &Path) -> Result<Octree> {
-        let foreign = |what: &str| Error::Input { file: path.to_owned(), what: what.into() };
-        let metadata = std::fs::metadata(path).map_err(Error::io(path, "open"))?;
-        if !metadata.is_file() {
-            return Err(foreign("not an ordinary file; name an octree file (build one with octbuild)"));
-        }
-        let file = File::open(path).map_err(Error::io(path, "open"))?;
-        let length = file.metadata().map_err(Error::io(path, "open"))?.len();
-        if length == 0 {
-            return Err(foreign("an empty file, not an octree file (build one with octbuild)"));
-        }
-        let map = Mapping::new(&file).map_err(Error::io(path, "map"))?;
-        let header = read_header(map.bytes(), map.bytes().len() as u64).map_err(|refusal| match refusal {
-            Refusal::Foreign(what) => foreign(&what),
-            Refusal::Damaged(what) => Error::damaged(path, None, what),
-        })?;
-        let sections = section_ranges(&header, map.bytes()).map_err(|what| Error::damaged(path, None, what))?;
-        let sound = (0..header.pages).map(|_| AtomicBool::new(false)).collect();
-        let packed = if header.flags.has(Flags::PACKED) { header.pages } else { 0 };
-        let unpacked = (0..packed).map(|_| OnceLock::new()).collect();
-        let octree = Octree { path: path.to_owned(), map, header, sections, sound, unpacked };
-        validate_top(&octree.header, &octree.top()).map_err(|what| octree.damaged(None, what))?;
+        Octree::open_as(path, None)
+    }
+
+    /// Opens a file to be read in the given way.
+    ///
+    /// Errors: as [`Octree::open`]; a packed file that is to be mapped, or a cache that the largest page does not fit in.
+    pub fn open_with(path: &Path, read: Read) -> Result<Octree> {
+        Octree::open_as(path, Some(read))
+    }
+
+    /// The least cache that a file can be read with: one page, the largest, in memory.
+    ///
+    /// Errors: as [`Octree::open`].
+    pub fn least_cache(path: &Path) -> Result<u64> {
+        let (_, header) = head(path)?;
+        Ok(least_cache(&header))
+    }
+
+    /// The header of a file, read by itself. Errors: as [`Octree::open`].
+    pub fn header_of(path: &Path) -> Result<Header> {
+        head(path).map(|x| x.1)
+    }
+
+    fn open_as(path: &Path, read: Option<Read>) -> Result<Octree> {
+        let (file, header) = head(path)?;
+        let read = read.unwrap_or_else(|| match header.flags.has(Flags::PACKED) {
+            true => Read::Budgeted { cache: least_cache(&header).max(free_memory() / 2) },
+            false => Read::Mapped,
+        });
+        let octree = match read {
+            Read::Mapped => Octree::map(path, &file, header)?,
+            Read::Budgeted { cache } => Octree::read(path, file, header, cache)?,
+        };
         octree.fault()?;
         Ok(octree)
+    }
+
+    /// Maps a file.
+    fn map(path: &Path, file: &File, header: Header) -> Result<Octree> {
+        if header.flags.has(Flags::PACKED) {
+            let what = "its pages are packed, so it cannot be mapped; read it within a budget of memory";
+            return Err(Error::Input { file: path.to_owned(), what: what.into() });
+        }
+        let map = Mapping::new(file).map_err(Error::io(path, "map"))?;
+        let sections = section_ranges(&header, map.bytes(), 0).map_err(|what| Error::damaged(path, None, what))?;
+        let pages = Pages::Mapped(Mapped::new(map, header.pages));
+        let octree = Octree { path: path.to_owned(), header, sections, top: Box::default(), pages };
+        validate_top(&octree.header, &octree.top()).map_err(|what| octree.damaged(None, what))?;
+        Ok(octree)
+    }
+
+    /// Reads a file's top, and makes a cache for its pages.
+    fn read(path: &Path, file: File, header: Header, budget: u64) -> Result<Octree> {
+        let least = least_cache(&header);
+        if budget < least {
+            let what = format!("its largest page needs {least} bytes of memory, but pages may take {budget} in all");
+            return Err(Error::Input { file: path.to_owned(), what });
+        }
+        let begin = header.sections[0].offset;
+        let bytes = (header.file_bytes - begin) as usize;
+        let mut top = vec![Node::EMPTY; bytes.div_ceil(size_of::<Node>())].into_boxed_slice();
+        let damaged = |what: String| Error::damaged(path, None, what);
+        cache::read_at(&file, &mut bytemuck::cast_slice_mut(&mut top)[..bytes], begin).map_err(|error| {
+            match error.kind() {
+                std::io::ErrorKind::UnexpectedEof => damaged("cut short while in use".into()),
+                _ => Error::io(path, "read")(error),
+            }
+        })?;
+        let sections = section_ranges(&header, bytemuck::cast_slice(&top), begin).map_err(damaged)?;
+        let view = top_view(&sections, bytemuck::cast_slice(&top));
+        validate_top(&header, &view).map_err(damaged)?;
+        let records = view.records;
+        let cache = Cache::new(path.to_owned(), file, &header, records, budget);
+        let pages = Pages::Cached(cache.map_err(Error::io(path, "make room for the pages of"))?);
+        Ok(Octree { path: path.to_owned(), header, sections, top, pages })
+    }
+
+    /// Lets pages take so many bytes of memory from now on, at least what [`Octree::least_cache`] says. Nothing for a mapped file.
+    pub fn set_cache(&self, bytes: u64) {
+        if let Pages::Cached(cache) = &self.pages {
+            cache.set_budget(bytes.max(least_cache(&self.header)));
+        }
+    }
+
+    /// Whether pages are read into a cache.
+    #[inline]
+    pub fn is_budgeted(&self) -> bool {
+        matches!(self.pages, Pages::Cached(_))
     }
 
     /// The header.
@@ -137,53 +251,72 @@ impl Octree {
         strings.ok().and_then(|strings| string_at(strings, place)).unwrap_or("")
     }
 
-    /// A page; checked (checksum and structure) at its first use.
+    /// Uses a page; waits for it if it is not in memory.
     ///
-    /// Several threads may check the same page at once, to the same end. A page that fails does so at every use.
-    #[inline(always)]
-    pub fn page(&self, id: PageId) -> Result<Page<'_>> {
-        let i = id.0 as usize;
-        if self.sound.get(i).is_some_and(|sound| sound.load(Ordering::Acquire)) {
-            let (Some(record), Some(brick)) = (self.records().get(i), self.bricks().get(i)) else {
-                return Err(self.no_page(id));
-            };
-            return Ok(Page::new(self.page_bytes(i, record), brick, self.header.flags));
+    /// Errors: a page that is damaged, or cannot be read.
+    pub fn with_page<T>(&self, id: PageId, mut read: impl FnMut(Page<'_>) -> T) -> Result<T> {
+        if let Some(outcome) = self.if_there(id, &mut read)? {
+            return Ok(outcome);
         }
-        self.check_page(id)
+        loop {
+            let ticket = self.ask(id, 1);
+            self.wait(std::iter::once(&ticket));
+            ticket.check()?;
+            if let Some(outcome) = self.if_there(id, &mut read)? {
+                return Ok(outcome);
+            }
+        }
     }
 
-    /// The records of the pages that were used so far, and found sound.
-    pub fn used(&self) -> impl Iterator<Item = &PageRecord> {
-        let sound = self.sound.iter().map(|sound| sound.load(Ordering::Relaxed));
-        self.records().iter().zip(sound).filter_map(|(record, sound)| sound.then_some(record))
+    /// Uses a page if it is in memory.
+    fn if_there<T>(&self, id: PageId, read: &mut impl FnMut(Page<'_>) -> T) -> Result<Option<T>> {
+        match self.visit().page(id) {
+            Ok(page) => Ok(Some(read(page))),
+            Err(Halt::Absent(_)) => Ok(None),
+            Err(Halt::Failed(error)) => Err(error),
+        }
     }
 
-    /// An error if the file was cut short while it was in use: what was read since may be zeros, and no result holds.
+    /// Asks for an absent page that so many rays need. Only of a file whose pages are cached.
+    pub(crate) fn ask(&self, id: PageId, rays: u64) -> Ticket<'_> {
+        match &self.pages {
+            Pages::Cached(cache) => cache.ask(id.0, rays),
+            Pages::Mapped(_) => unreachable!("pages of a mapped file are never absent"),
+        }
+    }
+
+    /// Waits until one of the pages asked for has come, or cannot be had.
+    pub(crate) fn wait<'t>(&self, tickets: impl Iterator<Item = &'t Ticket<'t>> + Clone) {
+        if let Pages::Cached(cache) = &self.pages {
+            cache.wait(tickets);
+        }
+    }
+
+    /// What was read so far.
+    pub fn figures(&self) -> Figures {
+        let mapped = match &self.pages {
+            Pages::Cached(cache) => return cache.figures(),
+            Pages::Mapped(mapped) => mapped,
+        };
+        // A page is read once, when it is checked.
+        let (touched, bytes) = mapped.used(self).fold((0, 0), |(n, sum), r| (n + 1, sum + u64::from(r.stored_bytes)));
+        Figures {
+            total: self.header.pages.into(),
+            touched,
+            bytes_touched: bytes,
+            read: touched,
+            bytes_read: bytes,
+            ..Figures::default()
+        }
+    }
+
+    /// An error if the file was cut short while it was mapped: what was read since may be zeros, and no result holds.
     #[inline]
     pub fn fault(&self) -> Result<()> {
-        if self.map.faulted() { Err(self.damaged(None, "cut short while in use".into())) } else { Ok(()) }
-    }
-
-    /// Checks a page and remembers that it is sound.
-    #[cold]
-    fn check_page(&self, id: PageId) -> Result<Page<'_>> {
-        let i = id.0 as usize;
-        let (Some(record), Some(brick)) = (self.records().get(i), self.bricks().get(i)) else {
-            return Err(self.no_page(id));
-        };
-        let Header { flags, materials, source_triangles, .. } = self.header;
-        let stored = self.stored_bytes(record);
-        let outcome = match checksum(stored) == record.checksum {
-            true => self
-                .unpack(i, stored, record)
-                .and_then(|bytes| validate_page(bytes, id, record, flags, materials, source_triangles).map(|_| bytes)),
-            false => Err("its checksum is wrong".into()),
-        };
-        // Zeros in place of lost bytes fail the checks; say what really happened.
-        self.fault()?;
-        let bytes = outcome.map_err(|what| self.damaged(Some(id.0), what))?;
-        self.sound[i].store(true, Ordering::Release);
-        Ok(Page::new(bytes, brick, flags))
+        match &self.pages {
+            Pages::Mapped(mapped) if mapped.map.faulted() => Err(self.damaged(None, "cut short while in use".into())),
+            _ => Ok(()),
+        }
     }
 
     /// The error for a page number beyond the last, or for a top that turned to zeros.
@@ -191,40 +324,28 @@ impl Octree {
         self.fault().err().unwrap_or_else(|| self.damaged(Some(id.0), "there is no such page".into()))
     }
 
-    /// A page's bytes as they are stored; empty if the record is not as it was when it was checked.
-    #[inline]
-    fn stored_bytes(&self, record: &PageRecord) -> &[u8] {
-        let begin = record.offset as usize;
-        self.map.bytes().get(begin..begin.saturating_add(record.stored_bytes as usize)).unwrap_or(&[])
-    }
-
-    /// The bytes of a page that was used before.
-    #[inline]
-    fn page_bytes(&self, i: usize, record: &PageRecord) -> &[u8] {
-        match self.unpacked.get(i) {
-            Some(page) => page.get().map_or(&[], |nodes| bytemuck::cast_slice(nodes)),
-            None => self.stored_bytes(record),
-        }
-    }
-
-    /// The bytes of a page whose checksum is right; those of a packed one stay in memory.
-    fn unpack<'s>(&'s self, i: usize, stored: &'s [u8], record: &PageRecord) -> Result<&'s [u8], String> {
-        let Some(page) = self.unpacked.get(i) else { return Ok(stored) };
-        let nodes = match page.get() {
-            Some(nodes) => nodes,
-            None => {
-                let nodes = unpack(stored, record.bytes)?;
-                page.get_or_init(|| nodes)
-            }
-        };
-        Ok(bytemuck::cast_slice(nodes))
-    }
-
     /// A section's records.
     #[inline]
     fn section<T: bytemuck::Pod>(&self, kind: SectionKind) -> &[T] {
-        let bytes = &self.map.bytes()[self.sections[kind as usize - 1].clone()];
-        bytemuck::try_cast_slice(bytes).unwrap_or(&[])
+        let bytes = match &self.pages {
+            Pages::Mapped(mapped) => mapped.map.bytes(),
+            Pages::Cached(_) => bytemuck::cast_slice(&self.top),
+        };
+        cut(&self.sections, bytes, kind)
+    }
+
+    /// The bytes from one place of the file to another, of no page.
+    fn gap(&self, range: Range<u64>) -> Result<Vec<u8>> {
+        match &self.pages {
+            Pages::Mapped(mapped) => {
+                Ok(mapped.map.bytes().get(range.start as usize..range.end as usize).unwrap_or(&[]).to_vec())
+            }
+            Pages::Cached(cache) => {
+                let mut bytes = vec![0; range.end.saturating_sub(range.start) as usize];
+                cache.read_at(&mut bytes, range.start).map_err(Error::io(&self.path, "read"))?;
+                Ok(bytes)
+            }
+        }
     }
 
     /// The whole top.
@@ -244,16 +365,69 @@ impl Octree {
     }
 }
 
-/// Where the sections lie in memory, by kind - 1, their checksums verified.
-fn section_ranges(header: &Header, file: &[u8]) -> Result<[Range<usize>; 5], String> {
+/// The file and its header, checked by itself.
+fn head(path: &Path) -> Result<(File, Header)> {
+    let foreign = |what: &str| Error::Input { file: path.to_owned(), what: what.into() };
+    let metadata = std::fs::metadata(path).map_err(Error::io(path, "open"))?;
+    if !metadata.is_file() {
+        return Err(foreign("not an ordinary file; name an octree file (build one with octbuild)"));
+    }
+    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let length = file.metadata().map_err(Error::io(path, "open"))?.len();
+    if length == 0 {
+        return Err(foreign("an empty file, not an octree file (build one with octbuild)"));
+    }
+    let mut bytes = vec![0; length.min(HEADER_BYTES as u64) as usize];
+    cache::read_at(&file, &mut bytes, 0).map_err(Error::io(path, "read"))?;
+    let header = read_header(&bytes, length).map_err(|refusal| match refusal {
+        Refusal::Foreign(what) => foreign(&what),
+        Refusal::Damaged(what) => Error::damaged(path, None, what),
+    })?;
+    Ok((file, header))
+}
+
+/// Bytes of memory that one page takes at most.
+fn least_cache(header: &Header) -> u64 {
+    // Of memory in pages of the largest size that machines have.
+    u64::from(header.largest_page).next_multiple_of(64 << 10)
+}
+
+/// Where the sections lie in `bytes`, which begin at byte `begin` of the file, by kind - 1; their checksums verified.
+fn section_ranges(header: &Header, bytes: &[u8], begin: u64) -> Result<[Range<usize>; 5], String> {
     let mut ranges = [const { 0..0 }; 5];
     for section in header.sections.iter().filter(|s| s.kind != 0) {
-        let range = section.offset as usize..(section.offset + section.bytes) as usize;
-        let bytes = file.get(range.clone()).ok_or("a section reaches beyond the end of the file")?;
+        let start = section.offset.checked_sub(begin).ok_or("a section lies before the first")? as usize;
+        let range = start..start + section.bytes as usize;
+        let bytes = bytes.get(range.clone()).ok_or("a section reaches beyond the end of the file")?;
         if checksum(bytes) != section.checksum {
             return Err(format!("the checksum of section {} is wrong", section.kind));
         }
         ranges[section.kind as usize - 1] = range;
     }
     Ok(ranges)
+}
+
+/// A section's records.
+#[inline]
+fn cut<'a, T: bytemuck::Pod>(sections: &[Range<usize>; 5], bytes: &'a [u8], kind: SectionKind) -> &'a [T] {
+    bytemuck::try_cast_slice(&bytes[sections[kind as usize - 1].clone()]).unwrap_or(&[])
+}
+
+/// The whole top, in `bytes`.
+fn top_view<'a>(sections: &[Range<usize>; 5], bytes: &'a [u8]) -> TopView<'a> {
+    TopView {
+        nodes: cut(sections, bytes, SectionKind::TopNodes),
+        bricks: cut(sections, bytes, SectionKind::Bricks),
+        records: cut(sections, bytes, SectionKind::Pages),
+        materials: cut(sections, bytes, SectionKind::Materials),
+        strings: cut(sections, bytes, SectionKind::Strings),
+    }
+}
+
+/// Bytes of memory that are free; some where the system does not tell.
+fn free_memory() -> u64 {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
+    let kib = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
+    kib.map_or(2 << 30, |kib| kib << 10)
 }

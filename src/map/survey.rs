@@ -49,7 +49,7 @@ impl Octree {
         };
         for i in 0..self.header.pages {
             monitor.check()?;
-            parts.add_page(self, &self.page(PageId(i))?);
+            self.with_page(PageId(i), |page| parts.add_page(self, &page))?;
             monitor.progress(u64::from(i) + 1, Some(self.header.pages.into()), "pages");
         }
         self.fault()?;

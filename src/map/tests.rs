@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use super::sample::{MATERIALS, Sample, random};
 use super::*;
+use crate::format::validate_page;
 use crate::error::Kind;
 use crate::event::Monitor;
 use crate::format::{PAGE_HEADER_BYTES, Slot};
@@ -70,8 +71,9 @@ fn everything_written_is_read() {
             assert_eq!(octree.string(materials[2].map_kd), &strings[4..8]);
         }
         let mut met = vec![false; sample.triangles.len()];
+        let visited = octree.visit();
         for brick in 0..sample.bricks {
-            let page = octree.page(PageId(brick as u32)).unwrap();
+            let page = visited.page(PageId(brick as u32)).unwrap();
             visit(&page, octree.leaf_unit(), |reference, triangle| {
                 if !sample.flags.has(Flags::IDS) {
                     met[page.face(reference).0 as usize] = true;
@@ -226,7 +228,7 @@ fn no_page_makes_a_reader_panic() {
         Sample::new(70, flags, 1).write(&path);
         let octree = Octree::open(&path).unwrap();
         let (record, brick) = (octree.records()[0], octree.bricks()[0]);
-        let sound: Vec<Node> = bytemuck::cast_slice(octree.page(PageId(0)).unwrap().bytes()).to_vec();
+        let sound: Vec<Node> = bytemuck::cast_slice(octree.visit().page(PageId(0)).unwrap().bytes()).to_vec();
         let (mut state, mut passed) = (3, 0);
         for _ in 0..rounds {
             let mut memory = sound.clone();
@@ -261,7 +263,8 @@ fn validation_names_the_broken_rule() {
     Sample::new(70, ALL, 1).write(&path);
     let octree = Octree::open(&path).unwrap();
     let record = octree.records()[0];
-    let page = octree.page(PageId(0)).unwrap();
+    let visited = octree.visit();
+    let page = visited.page(PageId(0)).unwrap();
     let (h, node) = (*page.header(), PAGE_HEADER_BYTES);
     let complaint = |place: usize, value: &[u8]| {
         let mut memory: Vec<Node> = bytemuck::cast_slice(page.bytes()).to_vec();
@@ -301,7 +304,8 @@ fn a_file_cut_short_while_mapped_is_an_error() {
     let (_folder, path) = scratch();
     let length = Sample::new(5000, ALL, 4).write(&path);
     let octree = Octree::open(&path).unwrap();
-    let checked = octree.page(PageId(1)).unwrap();
+    let visited = octree.visit();
+    let checked = visited.page(PageId(1)).unwrap();
     fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(length / 16).unwrap();
     octree.fault().unwrap(); // Not yet noticed.
     let mut count = 0;
@@ -310,14 +314,15 @@ fn a_file_cut_short_while_mapped_is_an_error() {
     let said = octree.fault().unwrap_err();
     assert!(said.kind() == Kind::Damaged && said.to_string().contains("cut short while in use"), "{said}");
     for id in (0..5).map(PageId) {
-        if let Ok(page) = octree.page(id) {
+        if let Ok(page) = visited.page(id) {
             visit(&page, octree.leaf_unit(), |reference, _| _ = page.normals(reference));
         }
     }
-    assert!(octree.page(PageId(3)).is_err());
+    assert!(visited.page(PageId(3)).is_err());
     assert!(octree.verify(Monitor::silent()).is_err());
     assert!(octree.parts(Monitor::silent()).is_err());
     // A new mapping begins with a clean slate.
+    drop(visited);
     drop(octree);
     Sample::new(50, ALL, 4).write(&path);
     let octree = Octree::open(&path).unwrap();

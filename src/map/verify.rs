@@ -89,13 +89,13 @@ impl Octree {
     fn check_gaps(&self) -> Result<()> {
         let pages = self.records().iter().map(|r| (r.offset, u64::from(r.stored_bytes)));
         let sections = self.header.sections.iter().filter(|s| s.kind != 0).map(|s| (s.offset, s.bytes));
-        let mut end = HEADER_BYTES;
+        let mut end = HEADER_BYTES as u64;
         for (offset, bytes) in pages.chain(sections) {
-            let gap = self.map.bytes().get(end..offset as usize).unwrap_or(&[]);
+            let gap = self.gap(end..offset)?;
             if gap.iter().any(|&b| b != 0) {
                 return Err(self.damaged(None, format!("the gap before byte {offset} is not zero")));
             }
-            end = (offset + bytes) as usize;
+            end = offset + bytes;
         }
         Ok(())
     }
@@ -120,7 +120,10 @@ impl Octree {
 
     /// Checks a page and that each of its triangles lies inside the boxes on the path down to it.
     fn check_contents(&self, i: usize, entry: &Place) -> Result<Facts> {
-        let page = self.page(PageId(i as u32))?;
+        self.with_page(PageId(i as u32), |page| self.check_page(i, &page, entry))?
+    }
+
+    fn check_page(&self, i: usize, page: &Page<'_>, entry: &Place) -> Result<Facts> {
         let header = page.header();
         let mut facts =
             Facts { nodes: header.nodes.into(), leaves: header.leaves.into(), depth: entry.depth, bounds: Aabb::EMPTY };
@@ -220,7 +223,10 @@ impl Faces {
 
     /// Marks the faces of a page that was checked. A face met twice is an error unless the flags allow it.
     fn mark(&mut self, octree: &Octree, id: PageId) -> Result<()> {
-        let page: Page<'_> = octree.page(id)?;
+        octree.with_page(id, |page| self.mark_page(octree, id, &page))?
+    }
+
+    fn mark_page(&mut self, octree: &Octree, id: PageId, page: &Page<'_>) -> Result<()> {
         let references = page.header().references;
         if self.seen.is_empty() {
             self.distinct += u64::from(references); // Numbers in the file, distinct by themselves.

@@ -7,9 +7,11 @@
 mod camera;
 mod film;
 mod hilbert;
+mod plan;
 mod sampling;
 mod tiles;
 
 pub use camera::Eye;
 pub use film::Film;
+pub use plan::Plan;
 pub use tiles::{Picture, Settings, Statistics, render};

@@ -11,12 +11,11 @@ use super::film::Film;
 use super::{hilbert, sampling};
 use crate::error::{Error, Result};
 use crate::event::Monitor;
+use crate::scene::Scene;
 use crate::shade::{RayCounts, Wave, World, WorldRay};
 
 /// Most pixels on a side.
 const MOST_SIDE: u32 = 65_536;
-/// Most samples that are followed together.
-const WAVE: usize = 1024;
 /// Pixels of a tile come in blocks of this side, and in each along a Z curve (Morton 1966): 16 or 64 rays in a row are neighbours.
 const BLOCK: u32 = 8;
 
@@ -34,11 +33,13 @@ pub struct Settings {
     pub crop: Option<[u32; 4]>,
     /// Side of a tile in pixels, at least 1; changes no pixel.
     pub tile: u32,
+    /// Most samples that a thread follows together, at least 1; changes no pixel.
+    pub wave: usize,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        Settings { size: None, samples: None, depth: None, crop: None, tile: 32 }
+        Settings { size: None, samples: None, depth: None, crop: None, tile: 32, wave: 1024 }
     }
 }
 
@@ -122,30 +123,44 @@ struct Job<'w> {
     depth: u32,
     /// Samples are k * k.
     k: u32,
+    /// Most samples that are followed together.
+    wave: usize,
+}
+
+/// Width and height of what is to be drawn.
+pub(super) fn region(scene: &Scene, settings: &Settings) -> Result<[u32; 2]> {
+    let [columns, rows] = settings.size.unwrap_or(scene.size);
+    if !(1..=MOST_SIDE).contains(&columns) || !(1..=MOST_SIDE).contains(&rows) {
+        let what = format!("a picture of {columns} x {rows} cannot be made: each side is 1 to {MOST_SIDE} pixels");
+        return Err(Error::Option(what));
+    }
+    let [x0, y0, x1, y1] = settings.crop.unwrap_or([0, 0, columns, rows]);
+    if x0 >= x1 || y0 >= y1 || x1 > columns || y1 > rows {
+        let what = format!(
+            "crop {x0},{y0},{x1},{y1} is no part of a picture of {columns} x {rows}: it is X0,Y0,X1,Y1 with X0 < X1 <= {columns} and Y0 < Y1 <= {rows}"
+        );
+        return Err(Error::Option(what));
+    }
+    Ok([x1 - x0, y1 - y0])
+}
+
+/// The error for a number of samples that makes no grid.
+pub(super) fn not_a_square(samples: u32) -> Error {
+    Error::Option(format!("{samples} samples a pixel: the number must be a square: 1, 4, 9, 16, ..."))
 }
 
 impl<'w> Job<'w> {
     fn new(world: &'w World, settings: &Settings) -> Result<Job<'w>> {
         let scene = world.scene();
-        let size @ [columns, rows] = settings.size.unwrap_or(scene.size);
-        if !(1..=MOST_SIDE).contains(&columns) || !(1..=MOST_SIDE).contains(&rows) {
-            let what = format!("a picture of {columns} x {rows} cannot be made: each side is 1 to {MOST_SIDE} pixels");
-            return Err(Error::Option(what));
-        }
+        let size @ [_, rows] = settings.size.unwrap_or(scene.size);
+        let [width, height] = region(scene, settings)?;
         let samples = settings.samples.unwrap_or(scene.samples);
-        let k = sampling::side(samples).ok_or_else(|| {
-            Error::Option(format!("{samples} samples a pixel: the number must be a square: 1, 4, 9, 16, ..."))
-        })?;
-        let [x0, y0, x1, y1] = settings.crop.unwrap_or([0, 0, columns, rows]);
-        if x0 >= x1 || y0 >= y1 || x1 > columns || y1 > rows {
-            let what = format!(
-                "crop {x0},{y0},{x1},{y1} is no part of a picture of {columns} x {rows}: it is X0,Y0,X1,Y1 with X0 < X1 <= {columns} and Y0 < Y1 <= {rows}"
-            );
-            return Err(Error::Option(what));
-        }
+        let k = sampling::side(samples).ok_or_else(|| not_a_square(samples))?;
+        let corner = settings.crop.map_or([0; 2], |[x0, y0, ..]| [x0, y0]);
+        let wave = settings.wave.max(1);
         let depth = settings.depth.unwrap_or(scene.depth);
         let eye = Eye::new(world, size)?;
-        Ok(Job { world, eye, rows, corner: [x0, y0], width: x1 - x0, height: y1 - y0, depth, k })
+        Ok(Job { world, eye, rows, corner, width, height, depth, k, wave })
     }
 
     /// One thread: takes tiles until none is left.
@@ -193,7 +208,7 @@ impl<'w> Job<'w> {
                 for s in 0..count {
                     desk.wave.add(self.ray(self.corner[0] + x0 + x, self.corner[1] + y0 + y, s));
                     desk.places.push(y * width + x);
-                    if desk.places.len() == WAVE && !desk.follow(self.world, stopped)? {
+                    if desk.places.len() == self.wave && !desk.follow(self.world, stopped)? {
                         return Ok(false);
                     }
                 }

@@ -33,7 +33,18 @@ pub(super) struct Questions {
     pub blocked: Vec<bool>,
 }
 
+impl Batch {
+    /// Bytes a ray.
+    pub const BYTES: usize =
+        size_of::<Ray>() + size_of::<Skip>() + size_of::<Option<Found>>() + size_of::<bool>() + size_of::<u32>();
+    /// Bytes of a ray that waits for a page.
+    pub const WAITING: usize = 128;
+}
+
 impl Questions {
+    /// Bytes a question.
+    pub const BYTES: usize = size_of::<WorldRay>() + size_of::<Omit>() + size_of::<bool>();
+
     /// None.
     pub fn clear(&mut self) {
         self.rays.clear();

@@ -91,6 +91,15 @@ impl Wave {
         Wave { depth, ..Wave::default() }
     }
 
+    /// About how many bytes a sample takes at most, for scenes of few bounces at a time: where rays are `refracted`, more wait.
+    pub fn sample_bytes(refracted: bool) -> usize {
+        let ray = size_of::<(WorldRay, Pending)>();
+        let lists = size_of::<Color>() + 2 * ray + size_of::<Vec<(WorldRay, Pending)>>() + size_of::<Option<Contact>>();
+        let lights = size_of::<Struck>() + size_of::<(u32, Color)>() + size_of::<u32>();
+        let stack = if refracted { 4 * ray } else { 0 };
+        lists + lights + stack + 2 * Questions::BYTES + Batch::BYTES + Batch::WAITING
+    }
+
     /// Begins anew, without rays; the counts go on.
     pub fn clear(&mut self) {
         self.colors.clear();

@@ -240,7 +240,9 @@ impl Mesh {
     /// The vertex normals of a hit triangle.
     pub(super) fn normals(&self, found: &Found) -> Result<Option<[[f32; 3]; 3]>> {
         match &self.octree {
-            Some(octree) if octree.flags().has(Flags::NORMALS) => Ok(octree.page(found.page)?.normals(found.reference)),
+            Some(octree) if octree.flags().has(Flags::NORMALS) => {
+                octree.with_page(found.page, |page| page.normals(found.reference))
+            }
             _ => Ok(None),
         }
     }
@@ -249,7 +251,7 @@ impl Mesh {
     pub(super) fn texcoords(&self, found: &Found) -> Result<Option<[[f32; 2]; 3]>> {
         match &self.octree {
             Some(octree) if octree.flags().has(Flags::TEXCOORDS) => {
-                Ok(octree.page(found.page)?.texcoords(found.reference))
+                octree.with_page(found.page, |page| page.texcoords(found.reference))
             }
             _ => Ok(None),
         }
@@ -261,7 +263,7 @@ impl Mesh {
         if !octree.flags().has(Flags::MATERIALS) {
             return Ok(None);
         }
-        let number = octree.page(found.page)?.material(found.reference) as usize;
+        let number = octree.with_page(found.page, |page| page.material(found.reference))? as usize;
         let record = number.checked_sub(1).and_then(|i| octree.materials().get(i));
         Ok(record.map(|r| (r, self.textures.get(number - 1).and_then(Option::as_ref))))
     }

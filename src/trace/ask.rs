@@ -1,7 +1,7 @@
 //! What is asked about a ray: the closest hit, the next one, or whether there is any.
 
 use super::arch::Kernel;
-use super::collect::{Any, Closest, Collector, Next, Rounding, Stored};
+use super::collect::{Any, Closest, Collector, Next, Rest, Rounding, Stored};
 use super::walk::{self, Sight};
 use super::{Counters, Found};
 use crate::exact::{Depths, Line, Shear};
@@ -33,6 +33,16 @@ pub(super) trait Ask {
     );
     /// One that is never asked.
     fn idle<'a>() -> Self::Collector<'a>;
+}
+
+/// A question whose walk can be put aside, and gone on with when pages have come and gone.
+pub(super) trait Pause: Ask {
+    /// What a walk has found so far, without anything of pages.
+    type Rest: Default;
+    /// Takes it from a collector.
+    fn rest(collector: &Self::Collector<'_>, ray: &Ray) -> Self::Rest;
+    /// Gives it to a collector that was made ready.
+    fn resume(rest: Self::Rest, collector: &mut Self::Collector<'_>);
 }
 
 /// Tests the triangles of the leaves that a walk comes to, and keeps what it finds.
@@ -266,3 +276,29 @@ impl Ask for Whether {
         }
     }
 }
+
+/// How asks for the closest hit, and for any, are put aside.
+macro_rules! pause {
+    ($($closest:ty),*; $($any:ty),*) => {
+        $(impl Pause for $closest {
+            type Rest = Rest;
+
+            fn rest(closest: &Closest<'_>, ray: &Ray) -> Rest {
+                closest.rest(ray)
+            }
+
+            fn resume(rest: Rest, closest: &mut Closest<'_>) {
+                closest.resume(rest);
+            }
+        })*
+        $(impl Pause for $any {
+            type Rest = ();
+
+            fn rest(_: &Any<'_>, _: &Ray) {}
+
+            fn resume(_: (), _: &mut Any<'_>) {}
+        })*
+    };
+}
+
+pause!(Least<'_>, LeastHit, LeastOfEach<'_>; Whether, WhetherEach<'_>);

@@ -17,9 +17,8 @@ pub struct Attributes {
 
 /// The attributes of a hit of this file.
 pub fn attributes(octree: &Octree, found: &Found) -> Result<Attributes> {
-    let page = octree.page(found.page)?;
     let weights = [1.0 - found.hit.u - found.hit.v, found.hit.u, found.hit.v];
-    Ok(Attributes {
+    octree.with_page(found.page, |page| Attributes {
         normal: page.normals(found.reference).map(|corners| interpolate(weights, corners)),
         texcoord: page.texcoords(found.reference).map(|corners| interpolate(weights, corners)),
         material: page.material(found.reference),

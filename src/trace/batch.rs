@@ -7,11 +7,12 @@ use bytemuck::Zeroable;
 use super::arch::{Job, Kernel};
 use super::ask::{Ask, Leaves};
 use super::setup::Setup;
+use super::trip::Straight;
 use super::walk::{File, LEVELS, Level, Sight};
 use super::{Counters, packet};
-use crate::error::Result;
 use crate::exact::{Depths, LANES};
 use crate::geometry::Ray;
+use crate::map::Halt;
 
 /// Rays to be answered with whichever kernel is there, N (1 to 64) at a time: in a packet where they run side by side, else one
 /// after the other. What does not wait for anything, preparing rays and rounding answers, is done for many together, and so goes
@@ -31,9 +32,9 @@ pub(super) struct Batch<'a, 'w, A: Ask, const N: usize> {
 #[derive(Clone, Copy, Zeroable)]
 #[repr(C)]
 pub(super) struct Space {
-    levels: [Level; LEVELS],
-    crew: [Sight; LANES],
-    packet: packet::Space,
+    pub(super) levels: [Level; LEVELS],
+    pub(super) crew: [Sight; LANES],
+    pub(super) packet: packet::Space,
 }
 
 thread_local! {
@@ -42,10 +43,10 @@ thread_local! {
 }
 
 impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
-    type Output = Result<()>;
+    type Output = Result<(), Halt>;
 
     #[inline(always)]
-    fn run<K: Kernel>(self, kernel: K) -> Result<()> {
+    fn run<K: Kernel>(self, kernel: K) -> Result<(), Halt> {
         let Batch { ask, rays, answers, file, counters, space: Space { levels, crew, packet }, packets } = self;
         counters.rays += rays.len() as u64;
         let start = file.start()?;
@@ -90,7 +91,8 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
                 while left != 0 {
                     let k = left.trailing_zeros() as usize % LANES;
                     left &= left - 1;
-                    file.walk(kernel, levels, &start, &those[k], &crew[k], &mut depths, &mut collectors[k], counters)?;
+                    let (ray, sight, collector) = (&those[k], &crew[k], &mut collectors[k]);
+                    file.walk(kernel, levels, &start, ray, sight, &mut depths, collector, counters, &mut Straight)?;
                 }
                 A::end(kernel, &those[..count], &collectors[..count], |k, answer| answers[places[k]] = answer);
             }

@@ -39,18 +39,19 @@ pub fn triangles_in_box(
             continue;
         }
         let id = PageId(number);
-        let page = octree.page(id)?;
-        each_leaf(octree, &page, frame, region.as_ref(), &mut |leaf| {
-            for j in 0..leaf.len() {
-                let reference = leaf.first().wrapping_add(j as u32);
-                let (triangle, face) = (leaf.triangle(j), page.face(reference));
-                let wanted = face != FaceId::NONE && bounds.is_none_or(|b| touches_box(&triangle, b));
-                if wanted && seen.as_mut().is_none_or(|seen| seen.insert(face)) {
-                    visit(Stored { triangle, face, page: id, reference })?;
+        octree.with_page(id, |page| {
+            each_leaf(octree, &page, frame, region.as_ref(), &mut |leaf| {
+                for j in 0..leaf.len() {
+                    let reference = leaf.first().wrapping_add(j as u32);
+                    let (triangle, face) = (leaf.triangle(j), page.face(reference));
+                    let wanted = face != FaceId::NONE && bounds.is_none_or(|b| touches_box(&triangle, b));
+                    if wanted && seen.as_mut().is_none_or(|seen| seen.insert(face)) {
+                        visit(Stored { triangle, face, page: id, reference })?;
+                    }
                 }
-            }
-            Ok(())
-        })?;
+                Ok(())
+            })
+        })??;
         octree.fault()?;
     }
     Ok(())

@@ -109,6 +109,10 @@ struct Settled {
     reference: u32,
 }
 
+/// The closest hit of a walk that was put aside.
+#[derive(Default)]
+pub(super) struct Rest(Option<Box<Settled>>);
+
 impl<'a> Seen<'a> {
     /// The triangle's number within the page.
     #[inline(always)]
@@ -203,6 +207,21 @@ impl<'a> Closest<'a> {
             Best::None => None,
             Best::Seen(seen) => seen.settle(line),
             Best::Settled(settled) => Some(*settled),
+        }
+    }
+
+    /// What has been found so far, without anything of pages.
+    pub fn rest(&self, ray: &Ray) -> Rest {
+        match &self.best {
+            Best::None => Rest(None),
+            _ => Rest(self.settled(&Line::new(ray)).map(Box::new)),
+        }
+    }
+
+    /// Goes on from what was found before.
+    pub fn resume(&mut self, rest: Rest) {
+        if let Some(settled) = rest.0 {
+            self.best = Best::Settled(*settled);
         }
     }
 

@@ -2,7 +2,8 @@
 //!
 //! [`OctreeTracer`] walks the file's own bytes: the parametric octree traversal of Revelles, Ureña and Lastra (2000) in a form that
 //! never loses a cell, over nodes and leaves as FORMAT.md has them. `setup.rs` has the argument, `walk.rs` the walk of one ray, `flight/` that
-//! of several under way at once, `packet/` that of rays side by side, `near.rs` that of short rays, `batch.rs` what chooses among them;
+//! of several under way at once, `packet/` that of rays side by side, `near.rs` that of short rays;
+//! `patient.rs` lets rays wait where pages are read within a budget, and `trip.rs` is how a walk is put aside there;
 //! `rough.rs` measures what exactness costs. A triangle is tested by the f32 filter of [`crate::exact`] first and exactly where that is in doubt. [`LinearTracer`] tests every triangle
 //! exactly and is the reference. `arch/` holds the inner loops.
 //!
@@ -20,8 +21,10 @@ mod linear;
 mod near;
 mod octree;
 mod packet;
+mod patient;
 mod rough;
 mod setup;
+mod trip;
 mod walk;
 
 use rayon::prelude::*;
@@ -126,7 +129,7 @@ pub trait Tracer: Send + Sync {
     /// # Panics
     /// If the slices differ in length.
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
-        batch(rays, hits, |rays, hits, counters| {
+        batch(rays, hits, BATCH, |rays, hits, counters| {
             for (ray, hit) in rays.iter().zip(hits) {
                 *hit = self.closest_counted(ray, Skip::NONE, counters)?.map_or(Hit::MISS, |found| found.hit);
             }
@@ -139,7 +142,7 @@ pub trait Tracer: Send + Sync {
     /// # Panics
     /// If the slices differ in length.
     fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
-        batch(rays, blocked, |rays, blocked, counters| {
+        batch(rays, blocked, BATCH, |rays, blocked, counters| {
             for (ray, blocked) in rays.iter().zip(blocked) {
                 *blocked = self.any_counted(ray, Skip::NONE, counters)?;
             }
@@ -184,15 +187,16 @@ impl<T: Tracer + ?Sized> Iterator for AllHits<'_, T> {
     }
 }
 
-/// Answers rays in parallel, chunk by chunk, and sums the work.
+/// Answers rays in parallel, in chunks of `size`, and sums the work.
 fn batch<A: Send>(
     rays: &[Ray],
     answers: &mut [A],
+    size: usize,
     answer: impl Fn(&[Ray], &mut [A], &mut Counters) -> Result<()> + Sync,
 ) -> Result<Counters> {
     assert_eq!(rays.len(), answers.len(), "one answer a ray");
-    rays.par_chunks(BATCH)
-        .zip(answers.par_chunks_mut(BATCH))
+    rays.par_chunks(size)
+        .zip(answers.par_chunks_mut(size))
         .map(|(rays, answers)| {
             let mut counters = Counters::default();
             answer(rays, answers, &mut counters)?;

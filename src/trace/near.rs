@@ -10,11 +10,10 @@
 
 use super::Counters;
 use super::arch::{Job, Kernel, Row, WIDE};
-use crate::error::Result;
 use crate::exact::{Decision, Depths, Line, Shear};
 use crate::format::{Frame, Leaf, Node, PageId, Slot};
 use crate::geometry::{FaceId, Ray, RootCube, Skip};
-use crate::map::{Octree, Page};
+use crate::map::{Halt, Page, Visit};
 
 /// Rays that go together.
 const GROUP: usize = 64;
@@ -25,7 +24,7 @@ const TOP: u32 = u32::MAX;
 
 /// Short rays to be answered with whichever kernel is there.
 pub(super) struct Near<'a, 'w> {
-    pub octree: &'a Octree,
+    pub visit: &'a Visit<'a>,
     pub rays: &'w [Ray],
     pub skips: &'w [Skip],
     pub blocked: &'w mut [bool],
@@ -42,17 +41,17 @@ struct Open {
 }
 
 impl Job for Near<'_, '_> {
-    type Output = Result<()>;
+    type Output = Result<(), Halt>;
 
     #[inline(always)]
-    fn run<K: Kernel>(self, kernel: K) -> Result<()> {
-        let Near { octree, rays, skips, blocked, counters } = self;
+    fn run<K: Kernel>(self, kernel: K) -> Result<(), Halt> {
+        let Near { visit, rays, skips, blocked, counters } = self;
         let mut group = Group::default();
         let mut open = Vec::new();
         for ((rays, skips), blocked) in rays.chunks(GROUP).zip(skips.chunks(GROUP)).zip(blocked.chunks_mut(GROUP)) {
             counters.rays += rays.len() as u64;
-            group.enclose(rays, octree.root());
-            let met = group.walk(kernel, octree, rays, skips, &mut open, counters)?;
+            group.enclose(rays, visit.octree().root());
+            let met = group.walk(kernel, visit, rays, skips, &mut open, counters)?;
             for (i, blocked) in blocked.iter_mut().enumerate() {
                 *blocked = met >> i & 1 != 0;
             }
@@ -117,12 +116,13 @@ impl Group {
     fn walk<K: Kernel>(
         &mut self,
         kernel: K,
-        octree: &Octree,
+        visit: &Visit<'_>,
         rays: &[Ray],
         skips: &[Skip],
         open: &mut Vec<Open>,
         counters: &mut Counters,
-    ) -> Result<u64> {
+    ) -> Result<u64, Halt> {
+        let octree = visit.octree();
         let every = u64::MAX >> (GROUP - rays.len());
         let brick = |number: usize| {
             let brick = octree.bricks().get(number)?;
@@ -147,7 +147,7 @@ impl Group {
                 Some((n, page)) if n == number => Some(page),
                 _ if number == TOP => None,
                 _ => {
-                    let page = octree.page(PageId(number))?;
+                    let page = visit.page(PageId(number))?;
                     current = Some((number, page));
                     Some(page)
                 }

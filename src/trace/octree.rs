@@ -3,15 +3,16 @@
 use std::borrow::Borrow;
 
 use super::arch::Isa;
-use super::ask::{Ask, Least, LeastHit, LeastOfEach, Whether, WhetherEach};
+use super::ask::{Ask, Least, LeastHit, LeastOfEach, Pause, Whether, WhetherEach};
 use super::batch::{Batch, SPACE};
 use super::collect::Collector;
 use super::flight::{Flight, STACKS, WORTHWHILE};
 use super::near::Near;
 use super::packet::{self, PACKET};
+use super::patient::{Fast, Patient};
 use super::setup::Scene;
 use super::walk::{CACHED, File};
-use super::{Counters, Found, Tracer, batch};
+use super::{BATCH, Counters, Found, Tracer, batch};
 use crate::error::Result;
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
@@ -72,14 +73,21 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     }
 
     /// Answers one ray.
-    fn ask_one<A: Ask>(&self, ask: A, ray: &Ray, counters: &mut Counters) -> Result<A::Answer> {
+    fn ask_one<A: Pause>(&self, ask: A, ray: &Ray, counters: &mut Counters) -> Result<A::Answer>
+    where
+        for<'c> A::Collector<'c>: Collector<'c>,
+    {
         let mut answer = [A::NOTHING];
-        self.one_by_one::<A, 1>(ask, std::slice::from_ref(ray), &mut answer, false, counters)?;
+        let rays = std::slice::from_ref(ray);
+        match self.octree().is_budgeted() {
+            true => self.patiently(ask, rays, &mut answer, Fast::Single, counters)?,
+            false => self.one_by_one::<A, 1>(ask, rays, &mut answer, false, counters)?,
+        }
         let [answer] = answer;
         Ok(answer)
     }
 
-    /// Answers rays one after the other, on this thread; adds the work done to `counters`.
+    /// Answers rays of a mapped file one after the other, on this thread; adds the work done to `counters`.
     pub(super) fn one_by_one<A: Ask, const N: usize>(
         &self,
         ask: A,
@@ -88,45 +96,91 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         packets: bool,
         counters: &mut Counters,
     ) -> Result<()> {
-        let file = File::new(self.octree(), &self.scene);
-        SPACE.with_borrow_mut(|space| {
+        let visit = self.octree().visit();
+        let file = File::new(&visit, &self.scene);
+        let outcome = SPACE.with_borrow_mut(|space| {
             self.isa.run(Batch::<A, N> { ask, rays, answers, file, counters, space, packets })
-        })?;
+        });
+        outcome.map_err(|halt| halt.mapped(self.octree()))?;
         self.octree().fault()
     }
 
     /// Answers rays of which nothing is known, on this thread, by the walk that is faster for them and for the file.
-    fn many<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()>
+    fn many<A: Pause>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()>
     where
         for<'c> A::Collector<'c>: Collector<'c>,
     {
-        match self.order {
-            Some(Order::Flight) => self.several(ask, rays, answers, counters),
-            Some(Order::Single) => self.one_by_one::<A, PACKET>(ask, rays, answers, false, counters),
-            Some(Order::Packet) => self.one_by_one::<A, PACKET>(ask, rays, answers, true, counters),
-            None => match packet::promising(rays) {
-                true => self.one_by_one::<A, PACKET>(ask, rays, answers, true, counters),
-                false => {
-                    let uncached = self.octree().header().file_bytes > CACHED;
-                    match uncached && rays.len() >= WORTHWHILE && packet::scattered(rays) {
-                        true => self.several(ask, rays, answers, counters),
-                        false => self.one_by_one::<A, PACKET>(ask, rays, answers, false, counters),
-                    }
-                }
-            },
+        let order = self.order.unwrap_or_else(|| self.order_for(rays));
+        if self.octree().is_budgeted() {
+            let fast = match order {
+                Order::Single => Fast::Single,
+                Order::Flight => Fast::Flight,
+                Order::Packet => Fast::Packets,
+            };
+            return self.patiently(ask, rays, answers, fast, counters);
+        }
+        match order {
+            Order::Flight => self.several(ask, rays, answers, counters),
+            Order::Single => self.one_by_one::<A, PACKET>(ask, rays, answers, false, counters),
+            Order::Packet => self.one_by_one::<A, PACKET>(ask, rays, answers, true, counters),
         }
     }
 
-    /// Answers rays several at a time, on this thread; adds the work done to `counters`.
+    /// The order that suits the rays and the file.
+    fn order_for(&self, rays: &[Ray]) -> Order {
+        let uncached = self.octree().header().file_bytes > CACHED;
+        if packet::promising(rays) {
+            Order::Packet
+        } else if uncached && rays.len() >= WORTHWHILE && packet::scattered(rays) {
+            Order::Flight
+        } else {
+            Order::Single
+        }
+    }
+
+    /// Answers rays of a mapped file several at a time, on this thread; adds the work done to `counters`.
     fn several<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()>
     where
         for<'c> A::Collector<'c>: Collector<'c>,
     {
-        let file = File::new(self.octree(), &self.scene);
-        STACKS.with_borrow_mut(|stacks| self.isa.run(Flight { ask, rays, answers, file, counters, stacks }))?;
+        let visit = self.octree().visit();
+        let file = File::new(&visit, &self.scene);
+        // No page of a mapped file is ever absent, so no ray is left.
+        let (ask, left) = (&ask, &mut Vec::new());
+        let outcome = STACKS.with_borrow_mut(|stacks| {
+            self.isa.run(Flight { ask, rays, first: 0, answers, file, counters, stacks, left })
+        });
+        outcome.map_err(|halt| halt.mapped(self.octree()))?;
         self.octree().fault()
     }
+
+    /// Answers rays of a file whose pages come and go, on this thread; adds the work done to `counters`.
+    fn patiently<A: Pause>(
+        &self,
+        ask: A,
+        rays: &[Ray],
+        answers: &mut [A::Answer],
+        fast: Fast<'_>,
+        counters: &mut Counters,
+    ) -> Result<()>
+    where
+        for<'c> A::Collector<'c>: Collector<'c>,
+    {
+        let (octree, scene, isa) = (self.octree(), &self.scene, self.isa);
+        Patient { octree, scene, isa, ask, rays, fast }.answer(answers, counters)
+    }
+
+    /// Rays that one task of a batch takes. Where rays may wait, each thread has many, so that others can go on.
+    fn task(&self, rays: usize) -> usize {
+        match self.octree().is_budgeted() {
+            true => rays.div_ceil(2 * rayon::current_num_threads()).clamp(BATCH, MOST_PATIENT),
+            false => BATCH,
+        }
+    }
 }
+
+/// Most rays of a task where rays may wait.
+const MOST_PATIENT: usize = 1 << 16;
 
 impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
     fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
@@ -163,15 +217,20 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
 
     fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
         assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
-        self.isa.run(Near { octree: self.octree(), rays, skips, blocked, counters })?;
+        if self.octree().is_budgeted() {
+            return self.patiently(WhetherEach(skips), rays, blocked, Fast::Near(skips), counters);
+        }
+        let visit = self.octree().visit();
+        let outcome = self.isa.run(Near { visit: &visit, rays, skips, blocked, counters });
+        outcome.map_err(|halt| halt.mapped(self.octree()))?;
         self.octree().fault()
     }
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
-        batch(rays, hits, |rays, hits, counters| self.many(LeastHit, rays, hits, counters))
+        batch(rays, hits, self.task(rays.len()), |rays, hits, counters| self.many(LeastHit, rays, hits, counters))
     }
 
     fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
-        batch(rays, blocked, |rays, blocked, counters| self.many(Whether(Skip::NONE), rays, blocked, counters))
+        batch(rays, blocked, self.task(rays.len()), |rays, blocked, counters| self.many(Whether(Skip::NONE), rays, blocked, counters))
     }
 }

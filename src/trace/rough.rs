@@ -13,17 +13,18 @@ use super::ask::{Ask, Leaves};
 use super::collect::{Next, Stored};
 use super::packet::PACKET;
 use super::walk::Sight;
-use super::{Counters, Found, OctreeTracer, batch};
-use crate::error::Result;
+use super::{BATCH, Counters, Found, OctreeTracer, batch};
+use crate::error::{Error, Result};
 use crate::exact::{Depths, Shear};
 use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip};
 use crate::map::Octree;
 
 impl<O: Borrow<Octree> + Send + Sync> OctreeTracer<O> {
-    /// The closest hits as f32 alone has them, one ray after the other or in packets. To measure what exactness costs.
+    /// The closest hits as f32 alone has them, one ray after the other or in packets. To measure what exactness costs; only of mapped files.
     #[doc(hidden)]
     pub fn rough_closest_batch(&self, rays: &[Ray], hits: &mut [Hit], packets: bool) -> Result<Counters> {
-        batch(rays, hits, |rays, hits, counters| {
+        batch(rays, hits, BATCH, |rays, hits, counters| {
+            self.mapped_only()?;
             self.one_by_one::<_, PACKET>(RoughLeast, rays, hits, packets, counters)
         })
     }
@@ -31,9 +32,18 @@ impl<O: Borrow<Octree> + Send + Sync> OctreeTracer<O> {
     /// Whether anything is hit as f32 alone has it, one ray after the other or in packets. To measure what exactness costs.
     #[doc(hidden)]
     pub fn rough_any_batch(&self, rays: &[Ray], blocked: &mut [bool], packets: bool) -> Result<Counters> {
-        batch(rays, blocked, |rays, blocked, counters| {
+        batch(rays, blocked, BATCH, |rays, blocked, counters| {
+            self.mapped_only()?;
             self.one_by_one::<_, PACKET>(RoughWhether, rays, blocked, packets, counters)
         })
+    }
+
+    /// Refuses files whose pages come and go.
+    fn mapped_only(&self) -> Result<()> {
+        match self.octree().is_budgeted() {
+            true => Err(Error::Option("rays can be traced in f32 alone only in a mapped file, not a packed one".into())),
+            false => Ok(()),
+        }
     }
 }
 

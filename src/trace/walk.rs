@@ -21,11 +21,11 @@ use super::arch::{Cell, Kernel, Saved};
 use super::ask::Leaves;
 use super::collect::{Collector, Next, Place, Stored};
 use super::setup::{Scene, Setup};
-use crate::error::Result;
+use super::trip::Trip;
 use crate::exact::{Decision, Depths, Lanes, Line, Shear};
 use crate::format::{Brick, DEPTH_MAX, Node, PageId};
 use crate::geometry::{FaceId, Ray};
-use crate::map::{Octree, Page};
+use crate::map::{Halt, Octree, Page, Visit};
 
 /// Levels that a walk can need: a node of each depth, of the top and of a page.
 pub(super) const LEVELS: usize = 2 * DEPTH_MAX as usize;
@@ -64,6 +64,7 @@ pub(super) const CACHED: u64 = 4 << 20;
 /// What every walk of a file needs.
 #[derive(Clone, Copy)]
 pub(super) struct File<'a> {
+    visit: &'a Visit<'a>,
     octree: &'a Octree,
     /// Bytes of a unit of leaf offsets.
     unit: usize,
@@ -90,13 +91,14 @@ pub(super) struct Start<'a> {
 
 impl<'a> File<'a> {
     /// A file and what its rays share.
-    pub fn new(octree: &'a Octree, scene: &'a Scene) -> File<'a> {
+    pub fn new(visit: &'a Visit<'a>, scene: &'a Scene) -> File<'a> {
+        let octree = visit.octree();
         let uncached = octree.header().file_bytes > CACHED;
-        File { octree, unit: octree.leaf_unit().bytes(), uncached, scene }
+        File { visit, octree, unit: octree.leaf_unit().bytes(), uncached, scene }
     }
 
     /// The root of the top, or of the only page.
-    pub fn start(&self) -> Result<Start<'a>> {
+    pub fn start(&self) -> Result<Start<'a>, Halt> {
         match (self.octree.top_nodes().is_empty(), self.octree.bricks()) {
             (false, _) => Ok(Start { view: self.view(TOP)?, cell: ROOT }),
             (true, [brick, ..]) => Ok(Start { view: self.view(0)?, cell: cell_of(brick) }),
@@ -104,7 +106,7 @@ impl<'a> File<'a> {
         }
     }
 
-    /// Walks one ray to its end.
+    /// Walks one ray to its end, or to a page that is not in memory: `trip` then knows how to go on.
     #[inline(always)]
     #[expect(clippy::too_many_arguments, reason = "what all rays of a batch share, made once")]
     pub fn walk<K: Kernel>(
@@ -117,7 +119,8 @@ impl<'a> File<'a> {
         depths: &mut Depths,
         collector: &mut impl Leaves<'a>,
         counters: &mut Counters,
-    ) -> Result<()> {
+        trip: &mut impl Trip,
+    ) -> Result<(), Halt> {
         let mut view = start.view;
         let mask = usize::from(sight.setup.way.order & 7);
         // The parameter beyond which nothing matters.
@@ -129,6 +132,9 @@ impl<'a> File<'a> {
         let mut node = view.node(index);
         let (mut frame, mut near) = kernel.load(&sight.saved);
         let mut left = sight.left;
+        if start.view.page.is_none() {
+            left = trip.enter(left);
+        }
         'walk: loop {
             while left == 0 {
                 if top == 0 {
@@ -143,8 +149,10 @@ impl<'a> File<'a> {
                     view = self.view(level.page)?;
                 }
                 node = view.node(index);
+                trip.back(top);
             }
-            let slot = (left.trailing_zeros() & 7) as usize ^ mask;
+            let rank = left.trailing_zeros() & 7;
+            let slot = rank as usize ^ mask;
             left &= left - 1;
             let byte = node.slots[slot];
             if byte < EMPTY {
@@ -161,7 +169,11 @@ impl<'a> File<'a> {
             }
             if byte & 0xc0 == INNER && node.first_child != 0 {
                 if left != 0 {
+                    trip.keep(top);
                     top = keep(kernel, stack, top, (frame, near), [index, view.number, left]);
+                }
+                if view.page.is_none() {
+                    trip.take(rank);
                 }
                 frame = kernel.child(frame, node, slot, &sight.setup.way);
                 index = index.wrapping_add(node.first_child).wrapping_add(u32::from(byte & 7));
@@ -169,8 +181,10 @@ impl<'a> File<'a> {
                 let number = node.first_leaf.wrapping_add(u32::from(byte & 0x3f));
                 let Some(brick) = self.brick(number) else { continue };
                 if left != 0 {
+                    trip.keep(top);
                     top = keep(kernel, stack, top, (frame, near), [index, view.number, left]);
                 }
+                trip.take(rank);
                 bricks += 1;
                 view = self.view(number)?;
                 index = 0;
@@ -181,6 +195,9 @@ impl<'a> File<'a> {
             node = view.node(index);
             nodes += 1;
             (left, near) = kernel.touch(node, frame, &sight.setup.way, ends);
+            if view.page.is_none() {
+                left = trip.enter(left);
+            }
             if self.uncached {
                 self.ahead(kernel, node, left & left.wrapping_sub(1), mask);
             }
@@ -203,11 +220,11 @@ impl<'a> File<'a> {
 
     /// The nodes of a page or of the top.
     #[inline(always)]
-    pub fn view(&self, number: u32) -> Result<View<'a>> {
+    pub fn view(&self, number: u32) -> Result<View<'a>, Halt> {
         if number == TOP {
             return Ok(View { nodes: self.octree.top_nodes(), number, page: None });
         }
-        let page = self.octree.page(PageId(number))?;
+        let page = self.visit.page(PageId(number))?;
         Ok(View { nodes: page.nodes(), number, page: Some(page) })
     }
 

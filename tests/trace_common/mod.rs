@@ -140,6 +140,11 @@ impl Mesh {
         self
     }
 
+    /// The mesh as builders take it.
+    pub fn source(&self) -> impl TriangleSource + '_ {
+        Source(self)
+    }
+
     /// Builds a file of this mesh and opens it.
     pub fn octree(&self, options: &BuildOptions) -> Octree {
         let folder = tempfile::tempdir().expect("a folder for temporary files");

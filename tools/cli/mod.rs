@@ -10,6 +10,7 @@ pub mod diagnostics;
 pub mod interrupt;
 pub mod output;
 pub mod progress;
+pub mod reading;
 pub mod stats;
 
 use std::process::ExitCode;

@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
+use indicatif::{BinaryBytes, HumanCount};
 use octrace::Error;
+use octrace::map::Figures;
 
 use super::args::is_stdio;
 use super::output;
@@ -31,6 +33,51 @@ impl From<octrace::format::Dropped> for Dropped {
             bad_index: d.bad_index,
             too_few_corners: d.too_few_corners,
         }
+    }
+}
+
+/// Pages of all files. In a mapped file each page that is touched is read once, when it is checked.
+#[derive(Default, serde::Serialize)]
+pub struct Pages {
+    total: u64,
+    touched: u64,
+    read: u64,
+    reread: u64,
+    bytes_touched: u64,
+    bytes_read: u64,
+    /// The share of visits to pages that found them in memory; none where that is not counted, as files are mapped.
+    hit_rate: Option<f64>,
+    stalls: u64,
+    stalled_seconds: f64,
+}
+
+impl Pages {
+    /// The sums over all files.
+    pub fn of(files: impl IntoIterator<Item = Figures>) -> Pages {
+        let all: Vec<Figures> = files.into_iter().collect();
+        let sum = |count: fn(&Figures) -> u64| all.iter().map(count).sum::<u64>();
+        let (entered, read) = (sum(|f| f.entered), sum(|f| f.read));
+        Pages {
+            total: sum(|f| f.total),
+            touched: sum(|f| f.touched),
+            read,
+            reread: sum(|f| f.reread),
+            bytes_touched: sum(|f| f.bytes_touched),
+            bytes_read: sum(|f| f.bytes_read),
+            hit_rate: (entered > 0).then(|| entered as f64 / (entered + read) as f64),
+            stalls: sum(|f| f.stalls),
+            stalled_seconds: all.iter().map(|f| f.stalled_seconds).sum(),
+        }
+    }
+
+    /// What was read, for people.
+    pub fn line(&self) -> String {
+        let again = match self.reread {
+            0 => String::new(),
+            again => format!(", {} of them again", HumanCount(again)),
+        };
+        let [touched, total, read] = [self.touched, self.total, self.read].map(HumanCount);
+        format!("{touched} of {total} pages, {read} read{again} ({})", BinaryBytes(self.bytes_read))
     }
 }
 

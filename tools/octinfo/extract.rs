@@ -174,9 +174,10 @@ impl<'a, W: Write> ObjWriter<'a, W> {
 
     /// Writes a triangle, and before it what it is the first to use.
     fn face(&mut self, found: &Stored) -> Result<()> {
-        let page = self.octree.page(found.page)?;
-        let material = page.material(found.reference);
-        let (texcoords, normals) = (page.texcoords(found.reference), page.normals(found.reference));
+        let (material, texcoords, normals) = self.octree.with_page(found.page, |page| {
+            let reference = found.reference;
+            (page.material(reference), page.texcoords(reference), page.normals(reference))
+        })?;
         self.triangle(found, material, texcoords, normals).map_err(Error::io(&self.name, "write"))
     }
 

@@ -5,20 +5,22 @@ mod cli;
 mod place;
 mod statistics;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::Arc;
 
 use clap::Parser;
-use octrace::map::Octree;
+use octrace::build::BuildOptions;
+use octrace::map::{Octree, Read};
 use octrace::mesh::ReadOptions;
 use octrace::output::{self, Format};
-use octrace::render::{self, Picture, Settings};
+use octrace::render::{self, Picture, Plan, Settings};
 use octrace::scene::{LoadOptions, MeshFile, Scene};
 use octrace::shade::World;
-use octrace::{Error, Result, open_or_build};
+use octrace::{Error, Result, find_or_build};
 
 use cli::args::{Common, StatsFile};
+use cli::reading::{self, Reading};
 use cli::{Arguments, Session};
 use place::{InputKind, Place};
 use statistics::Stats;
@@ -39,6 +41,8 @@ struct Args {
     lenient: bool,
     #[command(flatten)]
     picture: PictureArgs,
+    #[command(flatten)]
+    reading: Reading,
     #[command(flatten)]
     common: Common,
     #[command(flatten)]
@@ -71,6 +75,7 @@ Examples:
   octrender bunny.oct                                 a picture bunny.png, nothing else to say
   octrender scenes/mirror_room.txt -o room.png --size 1920x1080 --samples 16
   octrender scene.txt -o light.exr                    linear light, unclamped
+  octrender huge.oct --memory 512M                    a file of any size, never above 512 MiB of memory
   octrender scene.txt --crop 400,300,500,400 --samples 64 -o detail.png
 ";
 
@@ -91,10 +96,20 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         args.stats.not_stdout("the picture")?;
     }
     let tonemap = scene.tonemap;
-    let meshes = scene.meshes.iter().map(|mesh| open(mesh, args, session)).collect::<Result<Vec<_>>>()?;
+    let paths = scene.meshes.iter().map(|mesh| find(mesh, args, session)).collect::<Result<Vec<_>>>()?;
+    let headers = paths.iter().map(|path| Octree::header_of(path)).collect::<Result<Vec<_>>>()?;
+    let bound = args.reading.bound(&headers)?;
+    let meshes = paths.iter().map(|path| open(path, bound.is_some())).collect::<Result<Vec<_>>>()?;
     let world = World::new(scene, meshes.clone(), session.monitor())?;
     let PictureArgs { size, samples, depth, crop } = args.picture;
-    let settings = Settings { size, samples, depth, crop, ..Settings::default() };
+    let mut settings = Settings { size, samples, depth, crop, ..Settings::default() };
+    if let Some(memory) = bound {
+        let plan = plan(&world, &settings, memory, &meshes)?;
+        (settings.tile, settings.wave) = (plan.tile, plan.wave);
+        for (path, header) in paths.iter().zip(&headers) {
+            reading::warning(path, header, memory).into_iter().for_each(|text| session.monitor().warn(text));
+        }
+    }
     let before = cli::stats::cpu_seconds();
     let picture = render::render(&world, &settings, session.monitor())?;
     let trace_cpu_seconds = cli::stats::cpu_seconds() - before;
@@ -102,12 +117,15 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if !picture.complete {
         return broken_off(&picture, &place, tonemap, session);
     }
+    let stats = Stats::new(&picture, trace_cpu_seconds, &meshes);
+    // What pages take is free for writing the picture.
+    drop((world, meshes));
     session.monitor().phase("write");
     match &place {
         Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
         Place::File(path) => output::save(&picture.film, path, tonemap)?,
     }
-    let stats = Stats::new(&picture, trace_cpu_seconds, &meshes);
+    let stats = stats.finished();
     session.say(stats.line(&place));
     args.stats.write(&stats)?;
     Ok(ExitCode::SUCCESS)
@@ -122,13 +140,41 @@ fn load(args: &Args, session: &Session<'_>) -> Result<Scene> {
     }
 }
 
-/// Opens a mesh of the scene; one that is no octree file yet is built first, once.
-fn open(mesh: &MeshFile, args: &Args, session: &Session<'_>) -> Result<Arc<Octree>> {
+/// The octree file of a mesh of the scene; for one that is no octree file yet it is built first, once.
+fn find(mesh: &MeshFile, args: &Args, session: &Session<'_>) -> Result<PathBuf> {
     if mesh.built {
-        return Octree::open(&mesh.path).map(Arc::new);
+        return Ok(mesh.path.clone());
     }
     let read = ReadOptions { lenient: args.lenient, ..ReadOptions::default() };
-    open_or_build(&mesh.path, &read, session.monitor()).map(Arc::new)
+    let memory = args.reading.memory.unwrap_or(BuildOptions::default().memory);
+    find_or_build(&mesh.path, &read, memory, session.monitor())
+}
+
+/// Opens an octree file: mapped, or at first with the least of memory for its pages.
+fn open(path: &Path, budgeted: bool) -> Result<Arc<Octree>> {
+    let read = if budgeted { Read::Budgeted { cache: Octree::least_cache(path)? } } else { Read::Mapped };
+    Octree::open_with(path, read).map(Arc::new)
+}
+
+/// Shares the memory that is left out among waves of rays and the pages of all meshes.
+fn plan(world: &World, settings: &Settings, memory: u64, meshes: &[Arc<Octree>]) -> Result<Plan> {
+    let headers: Vec<_> = meshes.iter().map(|mesh| *mesh.header()).collect();
+    let leasts = meshes.iter().map(|mesh| Octree::least_cache(mesh.path())).collect::<Result<Vec<_>>>()?;
+    let least = leasts.iter().sum::<u64>();
+    let plan_for = |memory| Plan::new(world.scene(), settings, rayon::current_num_threads(), memory, least);
+    let plan = match reading::left_of(memory, &headers) {
+        Err(taken) => Err(taken + plan_for(0)?.err().unwrap_or(0)),
+        Ok(left) => plan_for(left)?.map_err(|least| memory - left + least),
+    };
+    let plan = plan.map_err(reading::too_small)?;
+    // By what each would take as a whole.
+    let whole = |mesh: &Octree| mesh.records().iter().map(|record| u64::from(record.bytes)).sum::<u64>().max(1);
+    let wholes: u64 = meshes.iter().map(|mesh| whole(mesh)).sum();
+    for (mesh, own) in meshes.iter().zip(&leasts) {
+        let share = (plan.pages - least) as f64 * (whole(mesh) as f64 / wholes as f64);
+        mesh.set_cache(own + share as u64);
+    }
+    Ok(plan)
 }
 
 /// Leaves what was drawn before the user stopped it under a name of its own.

@@ -2,12 +2,12 @@
 
 use std::sync::Arc;
 
-use indicatif::HumanCount;
+use indicatif::{BinaryBytes, HumanCount};
 use octrace::map::Octree;
 use octrace::render::Picture;
 use serde::Serialize;
 
-use crate::cli::stats;
+use crate::cli::stats::{self, Pages};
 use crate::place::Place;
 
 /// The statistics file.
@@ -34,20 +34,10 @@ struct Rays {
     refracted: u64,
 }
 
-/// Pages of all meshes. In a mapped file each page that is touched is read once, when it is checked.
-#[derive(Serialize)]
-struct Pages {
-    total: u64,
-    touched: u64,
-    read: u64,
-    bytes_read: u64,
-}
-
 impl Stats {
     /// The statistics of a picture of these meshes.
     pub fn new(picture: &Picture, trace_cpu_seconds: f64, meshes: &[Arc<Octree>]) -> Stats {
         let (s, rays) = (picture.statistics, picture.statistics.rays);
-        let touched: u64 = meshes.iter().map(|m| m.used().count() as u64).sum();
         Stats {
             schema: stats::SCHEMA,
             width: picture.film.width(),
@@ -57,20 +47,22 @@ impl Stats {
             trace_seconds: s.trace_seconds,
             trace_cpu_seconds,
             cpu_seconds: stats::cpu_seconds(),
-            pages: Pages {
-                total: meshes.iter().map(|m| u64::from(m.header().pages)).sum(),
-                touched,
-                read: touched,
-                bytes_read: meshes.iter().flat_map(|m| m.used()).map(|page| u64::from(page.stored_bytes)).sum(),
-            },
+            pages: Pages::of(meshes.iter().map(|mesh| mesh.figures())),
             peak_rss_bytes: stats::peak_rss_bytes(),
         }
     }
 
-    /// The summary: size, rays, seconds.
+    /// With the most memory that was taken up to now.
+    pub fn finished(self) -> Stats {
+        Stats { peak_rss_bytes: stats::peak_rss_bytes(), cpu_seconds: stats::cpu_seconds(), ..self }
+    }
+
+    /// The summary: size, rays, seconds, pages, memory.
     pub fn line(&self, place: &Place) -> String {
         let Rays { primary, shadow, mirror, refracted } = self.rays;
-        let rays = primary + shadow + mirror + refracted;
-        format!("{place}: {} x {} pixels, {} rays, {:.2} s", self.width, self.height, HumanCount(rays), self.seconds)
+        let (rays, pages) = (HumanCount(primary + shadow + mirror + refracted), self.pages.line());
+        let Stats { width, height, seconds, peak_rss_bytes, .. } = self;
+        let memory = BinaryBytes(*peak_rss_bytes);
+        format!("{place}: {width} x {height} pixels, {rays} rays, {seconds:.2} s; {pages}; {memory} of memory at most")
     }
 }

@@ -11,17 +11,21 @@ use std::time::Instant;
 
 use clap::Parser;
 use octrace::geometry::{Hit, Ray};
-use octrace::map::Octree;
+use octrace::map::{Octree, Read};
 use octrace::trace::{Counters, Isa, OctreeTracer, Tracer};
 use octrace::{Error, Result};
 use serde::Serialize;
 
 use cli::args::{Common, StatsFile};
+use cli::reading::{self, Reading};
 use cli::{Arguments, Session};
+use cli::stats::Pages;
 use stream::RayReader;
 
-/// Rays that are read, traced and written at a time.
-const BATCH: usize = 1 << 18;
+/// Rays that are read, traced and written at a time, fewest and most.
+const BATCHES: [usize; 2] = [1 << 14, 1 << 18];
+/// Bytes of a ray, its answer, and what it takes while it waits for a page.
+const RAY_BYTES: u64 = 48 + 128;
 
 /// Answers rays: reads them from standard input, writes a hit for each to standard output
 #[derive(Parser)]
@@ -40,6 +44,8 @@ struct Args {
     #[arg(long, value_name = "SET", default_value = "auto", value_parser = isa)]
     isa: Isa,
     #[command(flatten)]
+    reading: Reading,
+    #[command(flatten)]
     common: Common,
     #[command(flatten)]
     stats: StatsFile,
@@ -53,6 +59,7 @@ a miss has t = infinity and face = 0xFFFFFFFF.
 Examples:
   octtrace bunny.oct < rays.bin > hits.bin
   octtrace bunny.oct --any < rays.bin > blocked.bin
+  octtrace huge.oct --memory 256M < rays.bin > hits.bin
   octtrace bunny.oct --repeat 9 --threads 1 --stats speed.json < rays.bin > hits.bin
 ";
 
@@ -66,6 +73,7 @@ struct Stats {
     mrays_per_second: f64,
     nodes_per_ray: f64,
     triangles_per_ray: f64,
+    pages: Pages,
     peak_rss_bytes: u64,
 }
 
@@ -81,12 +89,12 @@ fn main() -> ExitCode {
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     args.stats.not_stdout("the hits")?;
-    let octree = Octree::open(&args.model)?;
+    let (octree, batch) = open(args, session)?;
     if std::io::stdin().is_terminal() {
         return Err(Error::Option("standard input is a terminal; give rays: octtrace MODEL.oct < RAYS > HITS".into()));
     }
     let tracer = OctreeTracer::new(&octree).with_isa(args.isa);
-    let mut run = Run { tracer, session, work: Counters::default(), rays: 0, hits: 0 };
+    let mut run = Run { tracer, session, batch, work: Counters::default(), rays: 0, hits: 0 };
     let seconds = if args.any {
         run.all(args.repeat, false, Tracer::any_batch, |&blocked| blocked)?
     } else {
@@ -95,6 +103,29 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     session.finish();
     args.stats.write(&run.stats(seconds))?;
     Ok(ExitCode::SUCCESS)
+}
+
+/// Opens the file; how many rays to trace at a time.
+fn open(args: &Args, session: &Session<'_>) -> Result<(Octree, usize)> {
+    let header = Octree::header_of(&args.model)?;
+    let Some(memory) = args.reading.bound(&[header])? else {
+        return Ok((Octree::open_with(&args.model, Read::Mapped)?, BATCHES[1]));
+    };
+    if args.repeat > 1 && args.reading.memory.is_some() {
+        return Err(Error::Option("--repeat holds all rays in memory, so it does not go with --memory".into()));
+    }
+    let least = Octree::least_cache(&args.model)?;
+    let octree = Octree::open_with(&args.model, Read::Budgeted { cache: least })?;
+    let need = least + BATCHES[0] as u64 * RAY_BYTES;
+    let left = reading::left_of(memory, &[header]).map_err(|taken| reading::too_small(taken + need))?;
+    let rest = left.checked_sub(need).ok_or_else(|| reading::too_small(memory - left + need))?;
+    let mut batch = BATCHES[0];
+    while batch < BATCHES[1] && 2 * batch as u64 * RAY_BYTES <= BATCHES[0] as u64 * RAY_BYTES + rest / 4 {
+        batch *= 2;
+    }
+    octree.set_cache(left - batch as u64 * RAY_BYTES);
+    reading::warning(&args.model, &header, memory).into_iter().for_each(|text| session.monitor().warn(text));
+    Ok((octree, batch))
 }
 
 /// An instruction set by its name.
@@ -112,6 +143,8 @@ fn isa(name: &str) -> std::result::Result<Isa, String> {
 struct Run<'a> {
     tracer: OctreeTracer<&'a Octree>,
     session: &'a Session<'a>,
+    /// Rays at a time.
+    batch: usize,
     work: Counters,
     rays: u64,
     hits: u64,
@@ -131,7 +164,7 @@ impl<'a> Run<'a> {
         let mut out = std::io::stdout().lock();
         let mut seconds = vec![0.0; repeat as usize];
         if repeat == 1 {
-            let mut rays = vec![stream::NO_RAY; BATCH];
+            let mut rays = vec![stream::NO_RAY; self.batch];
             let mut answers = vec![blank; rays.len()];
             loop {
                 let n = reader.fill(&mut rays)?;
@@ -143,10 +176,10 @@ impl<'a> Run<'a> {
                 stream::write(&mut out, &answers[..n])?;
             }
         } else {
-            let rays = reader.read_all(BATCH)?;
+            let rays = reader.read_all(self.batch)?;
             let mut answers = vec![blank; rays.len()];
             for (done, seconds) in seconds.iter_mut().enumerate() {
-                for (rays, answers) in rays.chunks(BATCH).zip(answers.chunks_mut(BATCH)) {
+                for (rays, answers) in rays.chunks(self.batch).zip(answers.chunks_mut(self.batch)) {
                     *seconds += self.time(&trace, rays, answers)?;
                 }
                 self.session.monitor().progress(done as u64 + 1, Some(repeat.into()), "repeats");
@@ -189,6 +222,7 @@ impl<'a> Run<'a> {
             mrays_per_second: if seconds > 0.0 { self.rays as f64 / seconds * 1e-6 } else { 0.0 },
             nodes_per_ray: per_ray(self.work.nodes),
             triangles_per_ray: per_ray(self.work.triangles),
+            pages: Pages::of([self.tracer.octree().figures()]),
             peak_rss_bytes: cli::stats::peak_rss_bytes(),
             trace_seconds,
         }

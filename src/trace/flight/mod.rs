@@ -16,10 +16,10 @@ use super::ask::Ask;
 use super::collect::{Collector, Stored};
 use super::setup::Setup;
 use super::walk::{File, LEVELS, Level, Start, TOP, View};
-use crate::error::Result;
 use crate::exact::{Depths, LANES, Lanes, Shear};
 use crate::format::Node;
 use crate::geometry::Ray;
+use crate::map::Halt;
 use step::{Step, back, descend, enter, find, hit, step, test, touch};
 
 /// Rays under way at once; a power of two.
@@ -50,12 +50,16 @@ thread_local! {
 
 /// Rays to be walked many at a time, with whichever kernel is there.
 pub(super) struct Flight<'a, 'w, A: Ask> {
-    pub ask: A,
+    pub ask: &'w A,
     pub rays: &'w [Ray],
+    /// The first ray to be walked; those before it are left alone.
+    pub first: usize,
     pub answers: &'w mut [A::Answer],
     pub file: File<'a>,
     pub counters: &'w mut Counters,
     pub stacks: &'w mut Stacks,
+    /// Takes the rays that are not answered, since a page that they need is not in memory.
+    pub left: &'w mut Vec<usize>,
 }
 
 /// A ray under way.
@@ -108,12 +112,12 @@ impl<A: Ask> Job for Flight<'_, '_, A>
 where
     for<'c> A::Collector<'c>: Collector<'c>,
 {
-    type Output = Result<()>;
+    type Output = Result<(), Halt>;
 
     #[inline(always)]
-    fn run<K: Kernel>(self, kernel: K) -> Result<()> {
-        let Flight { ask, rays, answers, file, counters, stacks } = self;
-        counters.rays += rays.len() as u64;
+    fn run<K: Kernel>(self, kernel: K) -> Result<(), Halt> {
+        let Flight { ask, rays, first, answers, file, counters, stacks, left } = self;
+        counters.rays += rays.len().saturating_sub(first) as u64;
         let start = file.start()?;
         let top = file.view(TOP)?.nodes;
         let mut flying: [Flying<'_, K, A::Collector<'_>>; RAYS] = std::array::from_fn(|_| Flying {
@@ -132,7 +136,7 @@ where
             collector: A::idle(),
         });
         let mut queues = Queues { rays: [[0; RAYS]; 8], counts: [0; 8] };
-        let mut waiting = Waiting { rays, next: 0 };
+        let mut waiting = Waiting { rays, next: first };
         // Those on the ground, not yet launched.
         let mut ground: [u8; RAYS] = std::array::from_fn(|i| i as u8);
         let mut grounded = RAYS;
@@ -142,7 +146,7 @@ where
             while grounded > 0 && waiting.next < rays.len() {
                 let count = launch(
                     kernel,
-                    &ask,
+                    ask,
                     &mut waiting,
                     answers,
                     &file,
@@ -167,12 +171,19 @@ where
             let (entering, bricks) = queues.take(Step::Brick);
             for &i in &entering[..bricks] {
                 let (ray, stack) = at(&mut flying, stacks, i);
-                if enter(kernel, &file, ray, stack)? {
-                    those[count % RAYS] = i;
-                    count += 1;
-                    counters.bricks += 1;
-                } else {
-                    queues.push(Step::Back, i);
+                match enter(kernel, &file, ray, stack) {
+                    Ok(true) => {
+                        those[count % RAYS] = i;
+                        count += 1;
+                        counters.bricks += 1;
+                    }
+                    Ok(false) => queues.push(Step::Back, i),
+                    Err(Halt::Absent(_)) => {
+                        left.push(ray.place);
+                        ground[grounded % RAYS] = i;
+                        grounded += 1;
+                    }
+                    Err(failed) => return Err(failed),
                 }
             }
             inners += count as u64;

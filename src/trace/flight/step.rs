@@ -1,8 +1,8 @@
 //! The steps of a ray in flight, each as much as can be done without waiting for what it loads.
 
 use super::{DEPTH, Flying};
-use crate::error::Result;
 use crate::format::Node;
+use crate::map::Halt;
 use crate::trace::Counters;
 use crate::trace::arch::Kernel;
 use crate::trace::collect::{Collector, Next};
@@ -94,7 +94,7 @@ pub(super) fn enter<'a, C, K: Kernel>(
     file: &File<'a>,
     aloft: &mut Flying<'a, K, C>,
     stack: &mut [Level; DEPTH],
-) -> Result<bool> {
+) -> Result<bool, Halt> {
     let Setup { way, aim, .. } = &aloft.setup;
     let top = aloft.top as usize % DEPTH;
     let level = &mut stack[top];

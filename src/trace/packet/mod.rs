@@ -23,10 +23,10 @@ use super::arch::{Block, Kernel, Rounded, Row, WIDE, Way};
 use super::ask::Ask;
 use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Start};
 use super::{Counters, Found};
-use crate::error::Result;
 use crate::exact::Depths;
 use crate::format::{Frame, Node, PageId};
 use crate::geometry::{FaceId, Hit, Ray, Skip, Triangle};
+use crate::map::Halt;
 use assemble::assemble;
 use leaf::leaf;
 
@@ -166,7 +166,8 @@ fn alike(rays: &[Ray], apart: usize, least: f32) -> bool {
     2 * side_by_side.count() >= samples
 }
 
-/// Walks up to 64 rays together and gives their answers, but for those rays that must be walked alone: bit i for `rays[i]`.
+/// Walks up to 64 rays together and gives their answers, but for those rays that must be walked alone: bit i for `rays[i]`. Ends
+/// at a page that is not in memory; then no answer holds.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "the state of a batch")]
 pub(super) fn walk<K: Kernel, A: Ask>(
@@ -178,7 +179,7 @@ pub(super) fn walk<K: Kernel, A: Ask>(
     space: &mut Space,
     depths: &mut Depths,
     counters: &mut Counters,
-) -> Result<u64> {
+) -> Result<u64, Halt> {
     let rays = asked.rays;
     let all = u64::MAX >> (64 - rays.len().clamp(1, PACKET));
     let Space { groups, table, levels } = space;

@@ -1,0 +1,91 @@
+//! How octree files are read: the flags, and what they mean for a bound on memory.
+
+use octrace::Error;
+use octrace::format::{Flags, Header};
+
+/// Flags for reading octree files.
+#[derive(Clone, Debug, clap::Args)]
+#[command(next_help_heading = "General")]
+pub struct Reading {
+    /// Bound on resident memory, all included: pages of the octree file are read as they are needed, and go when room is
+    /// needed for others [default: none, the file is mapped]
+    #[arg(long, value_name = "SIZE", value_parser = super::args::size)]
+    pub memory: Option<u64>,
+    /// How octree files are read: mapped, or pages within a budget of memory [default: budgeted with --memory and for packed
+    /// files, which take half of the free memory without it; else mapped]
+    #[arg(long, value_name = "HOW")]
+    pub read: Option<How>,
+}
+
+/// How octree files are read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+pub enum How {
+    /// In place, where the system maps them
+    Mapped,
+    /// Page by page into memory of a given size
+    Budgeted,
+}
+
+/// Memory for what is not counted: code that has not run yet, stacks, small things.
+const REST: u64 = 8 << 20;
+
+impl Reading {
+    /// The bound on memory, if these files are to be read within one.
+    pub fn bound(&self, headers: &[Header]) -> Result<Option<u64>, Error> {
+        let packed = headers.iter().any(|header| header.flags.has(Flags::PACKED));
+        match (self.read, self.memory) {
+            (Some(How::Mapped), Some(_)) => Err(Error::Option(
+                "--memory bounds what is read page by page; it cannot bound a file that is mapped: leave out --read mapped"
+                    .into(),
+            )),
+            (Some(How::Mapped), None) if packed => {
+                Err(Error::Option("a packed file cannot be mapped: leave out --read mapped".into()))
+            }
+            (Some(How::Mapped), None) => Ok(None),
+            (None, None) if !packed => Ok(None),
+            (_, Some(memory)) => Ok(Some(memory)),
+            (_, None) => Ok(Some(free_memory() / 2)),
+        }
+    }
+}
+
+/// What of the bound is left beside what this process has taken so far, and what the page tables of the files will take.
+pub fn left_of(memory: u64, headers: &[Header]) -> Result<u64, u64> {
+    let tables: u64 = headers.iter().map(|header| 16 * u64::from(header.pages)).sum();
+    let taken = resident_bytes().unwrap_or(32 << 20) + REST + tables;
+    memory.checked_sub(taken).ok_or(taken)
+}
+
+/// The error for a bound that is too small.
+pub fn too_small(least: u64) -> Error {
+    // Rounded up, and a little more, since another run may take a little more.
+    let mib = (least + (1 << 20)).div_ceil(1 << 20);
+    Error::Option(format!("--memory is too small for this: the least is {mib}M"))
+}
+
+/// What a file whose pages are large for the bound is warned of, if it is.
+pub fn warning(name: &std::path::Path, header: &Header, memory: u64) -> Option<String> {
+    let largest = u64::from(header.largest_page);
+    (largest > memory / 8).then(|| {
+        let (name, largest, memory) = (name.display(), largest >> 10, memory >> 20);
+        format!(
+            "{name}: its largest page has {largest} KiB, more than an eighth of --memory ({memory} MiB), which makes reading slow; \
+             build it with smaller pages (octbuild --brick 16384)"
+        )
+    })
+}
+
+/// Resident memory of this process now, where the system tells.
+fn resident_bytes() -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? << 10)
+}
+
+/// Memory that is free, where the system tells.
+fn free_memory() -> u64 {
+    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
+    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
+    let kib = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
+    kib.map_or(2 << 30, |kib| kib << 10)
+}
