@@ -221,14 +221,7 @@ impl Place {
     }
 
     /// Builds the octree file, then writes its key.
-    fn build(
-        &self,
-        mesh: &Path,
-        read: &ReadOptions,
-        memory: u64,
-        source: Source,
-        monitor: Monitor<'_>,
-    ) -> Result<()> {
+    fn build(&self, mesh: &Path, read: &ReadOptions, memory: u64, source: Source, monitor: Monitor<'_>) -> Result<()> {
         let name = Some(mesh.to_owned());
         let options = BuildOptions { origin: read.origin, name, memory, ..BuildOptions::default() };
         build(mesh::open(mesh, read)?.as_mut(), &self.octree, &options, monitor)?;

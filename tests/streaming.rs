@@ -42,7 +42,8 @@ fn rays(mesh: &Mesh, count: usize, seed: u64) -> Vec<Ray> {
 
 /// Every kind of question to one file, against a reference.
 fn compare(name: &str, reference: &Octree, octree: &Octree, rays: &[Ray]) {
-    let skips: Vec<Skip> = (0..rays.len()).map(|i| if i % 3 == 0 { Skip::one(FaceId(i as u32 % 50)) } else { Skip::NONE }).collect();
+    let skips: Vec<Skip> =
+        (0..rays.len()).map(|i| if i % 3 == 0 { Skip::one(FaceId(i as u32 % 50)) } else { Skip::NONE }).collect();
     let expected = Answers::of(&OctreeTracer::new(reference), rays, &skips);
     for order in [None, Some(Order::Single), Some(Order::Flight), Some(Order::Packet)] {
         let tracer = OctreeTracer::new(octree);
@@ -95,7 +96,9 @@ impl Answers {
 #[test]
 fn any_budget_and_packing_gives_the_same_bits() {
     let folder = tempfile::tempdir().unwrap();
-    for (name, mesh, brick) in [("sphere", Mesh::sphere(6, 0.01), 300), ("room", Mesh::room(), 200), ("soup", Mesh::soup(3000, 3), 100)] {
+    for (name, mesh, brick) in
+        [("sphere", Mesh::sphere(6, 0.01), 300), ("room", Mesh::room(), 200), ("soup", Mesh::soup(3000, 3), 100)]
+    {
         let path = folder.path().join(format!("{name}.oct"));
         let packed = folder.path().join(format!("{name}.packed.oct"));
         write(&mesh, &path, brick, None);
@@ -105,7 +108,8 @@ fn any_budget_and_packing_gives_the_same_bits() {
         let least = Octree::least_cache(&path).unwrap();
         let pages = mapped.header().pages;
         assert!(pages > 20, "{name}: {pages} pages");
-        for (cache, path) in [(least, &path), (3 * least, &path), (least, &packed), (u64::from(pages) * least, &packed)] {
+        for (cache, path) in [(least, &path), (3 * least, &path), (least, &packed), (u64::from(pages) * least, &packed)]
+        {
             for threads in [1, 2] {
                 let octree = budgeted(path, cache);
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();

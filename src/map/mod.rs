@@ -162,11 +162,11 @@ impl Octree {
         let bytes = (header.file_bytes - begin) as usize;
         let mut top = vec![Node::EMPTY; bytes.div_ceil(size_of::<Node>())].into_boxed_slice();
         let damaged = |what: String| Error::damaged(path, None, what);
-        cache::read_at(&file, &mut bytemuck::cast_slice_mut(&mut top)[..bytes], begin).map_err(|error| {
-            match error.kind() {
-                std::io::ErrorKind::UnexpectedEof => damaged("cut short while in use".into()),
-                _ => Error::io(path, "read")(error),
-            }
+        cache::read_at(&file, &mut bytemuck::cast_slice_mut(&mut top)[..bytes], begin).map_err(|error| match error
+            .kind()
+        {
+            std::io::ErrorKind::UnexpectedEof => damaged("cut short while in use".into()),
+            _ => Error::io(path, "read")(error),
         })?;
         let sections = section_ranges(&header, bytemuck::cast_slice(&top), begin).map_err(damaged)?;
         let view = top_view(&sections, bytemuck::cast_slice(&top));

@@ -5,9 +5,9 @@ use std::path::{Path, PathBuf};
 
 use super::sample::{MATERIALS, Sample, random};
 use super::*;
-use crate::format::validate_page;
 use crate::error::Kind;
 use crate::event::Monitor;
+use crate::format::validate_page;
 use crate::format::{PAGE_HEADER_BYTES, Slot};
 use crate::geometry::{FaceId, Triangle};
 

@@ -33,7 +33,13 @@ impl Plan {
     /// The plan of a picture of this scene on `threads` threads in `memory` bytes, of which pages need at least `pages`.
     ///
     /// Errors: the least memory, if that is more; settings that make no picture.
-    pub fn new(scene: &Scene, settings: &Settings, threads: usize, memory: u64, pages: u64) -> Result<Result<Plan, u64>> {
+    pub fn new(
+        scene: &Scene,
+        settings: &Settings,
+        threads: usize,
+        memory: u64,
+        pages: u64,
+    ) -> Result<Result<Plan, u64>> {
         let [width, height] = tiles::region(scene, settings)?;
         let samples = settings.samples.unwrap_or(scene.samples);
         sampling::side(samples).ok_or_else(|| tiles::not_a_square(samples))?;
@@ -46,7 +52,8 @@ impl Plan {
         let Some(rest) = memory.checked_sub(least) else { return Ok(Err(least)) };
         let most = (pixels * u64::from(samples) / (TILES * threads) as u64).max(1);
         let mut wave = WAVES[0];
-        while wave < WAVES[1] && (wave as u64) < most && 2 * wave as u64 * (each + 60 * threads as u64) <= rest / SHARE {
+        while wave < WAVES[1] && (wave as u64) < most && 2 * wave as u64 * (each + 60 * threads as u64) <= rest / SHARE
+        {
             wave *= 2;
         }
         let side = (wave as u64 / u64::from(samples)).max(1).isqrt().next_multiple_of(8).max(16) as u32;

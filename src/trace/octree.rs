@@ -231,6 +231,8 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
     }
 
     fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
-        batch(rays, blocked, self.task(rays.len()), |rays, blocked, counters| self.many(Whether(Skip::NONE), rays, blocked, counters))
+        batch(rays, blocked, self.task(rays.len()), |rays, blocked, counters| {
+            self.many(Whether(Skip::NONE), rays, blocked, counters)
+        })
     }
 }

@@ -114,7 +114,11 @@ where
     }
 
     /// Puts rays into the queues of the pages that halted them, and asks for these.
-    fn put_aside<'q>(&'q self, halted: &mut Vec<(u32, Waiting<A::Rest>)>, queues: &mut HashMap<u32, Queue<'q, A::Rest>>) {
+    fn put_aside<'q>(
+        &'q self,
+        halted: &mut Vec<(u32, Waiting<A::Rest>)>,
+        queues: &mut HashMap<u32, Queue<'q, A::Rest>>,
+    ) {
         halted.sort_by_key(|x| x.0);
         let mut halted = halted.drain(..).peekable();
         while let Some((page, first)) = halted.next() {

@@ -41,7 +41,9 @@ impl<O: Borrow<Octree> + Send + Sync> OctreeTracer<O> {
     /// Refuses files whose pages come and go.
     fn mapped_only(&self) -> Result<()> {
         match self.octree().is_budgeted() {
-            true => Err(Error::Option("rays can be traced in f32 alone only in a mapped file, not a packed one".into())),
+            true => {
+                Err(Error::Option("rays can be traced in f32 alone only in a mapped file, not a packed one".into()))
+            }
             false => Ok(()),
         }
     }

@@ -18,8 +18,8 @@ use serde::Serialize;
 
 use cli::args::{Common, StatsFile};
 use cli::reading::{self, Reading};
-use cli::{Arguments, Session};
 use cli::stats::Pages;
+use cli::{Arguments, Session};
 use stream::RayReader;
 
 /// Rays that are read, traced and written at a time, fewest and most.

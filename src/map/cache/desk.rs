@@ -53,7 +53,10 @@ enum Stage {
 
 /// What a loader is to do next.
 pub(super) enum Task {
-    Load { page: u32, known: bool },
+    Load {
+        page: u32,
+        known: bool,
+    },
     /// Room is needed that visits still hold.
     Wait,
     Nothing,
@@ -135,7 +138,8 @@ impl Desk {
         if self.queued == 0 {
             return Task::Nothing;
         }
-        let waiting = self.wanted.iter().filter(|(page, w)| w.stage == Stage::Queued && !self.failed.contains_key(page));
+        let waiting =
+            self.wanted.iter().filter(|(page, w)| w.stage == Stage::Queued && !self.failed.contains_key(page));
         let loads = self.loads;
         let key = |w: &Wanted| (w.urgent, w.rays + AGING * (loads - w.since));
         let Some((&page, wanted)) = waiting.max_by_key(|(page, w)| (key(w), u32::MAX - **page)) else {

@@ -109,7 +109,10 @@ impl Cache {
         });
         let loader = |_| {
             let core = core.clone();
-            std::thread::Builder::new().name("octrace-loader".into()).stack_size(256 << 10).spawn(move || core.load_all())
+            std::thread::Builder::new()
+                .name("octrace-loader".into())
+                .stack_size(256 << 10)
+                .spawn(move || core.load_all())
         };
         let mut cache = Cache { core: core.clone(), loaders: Vec::new() };
         for i in 0..LOADERS {
@@ -204,8 +207,7 @@ impl Ticket<'_> {
 
     /// Whether waiting is over: the page is there, or cannot be had.
     pub(crate) fn is_ready(&self) -> bool {
-        self.is_there()
-            || (self.core.failing.load(Ordering::Acquire) && self.core.desk().failed(self.page).is_some())
+        self.is_there() || (self.core.failing.load(Ordering::Acquire) && self.core.desk().failed(self.page).is_some())
     }
 
     /// Why the page cannot be had, if that is so.

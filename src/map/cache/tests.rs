@@ -143,7 +143,10 @@ fn a_file_cut_short_between_two_pages_is_told() {
     assert!(octree.with_page(PageId(2), |page| page.bytes() == pages[2]).unwrap());
     let error = octree.with_page(PageId(3), |_| ()).unwrap_err();
     let said = error.to_string();
-    assert!(error.kind() == Kind::Damaged && said.contains("page 3") && said.contains("cut short while in use"), "{said}");
+    assert!(
+        error.kind() == Kind::Damaged && said.contains("page 3") && said.contains("cut short while in use"),
+        "{said}"
+    );
 }
 
 #[test]
