@@ -17,7 +17,7 @@ use std::io;
 
 use memmap2::Mmap;
 
-pub(crate) use arena::{Arena, Visit};
+pub(crate) use arena::{Arena, Visit, machine_page};
 
 /// A file mapped for reading.
 pub(crate) struct Mapping {

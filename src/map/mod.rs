@@ -388,8 +388,7 @@ fn head(path: &Path) -> Result<(File, Header)> {
 
 /// Bytes of memory that one page takes at most.
 fn least_cache(header: &Header) -> u64 {
-    // Of memory in pages of the largest size that machines have.
-    u64::from(header.largest_page).next_multiple_of(64 << 10)
+    u64::from(header.largest_page).next_multiple_of(mmap::machine_page() as u64)
 }
 
 /// Where the sections lie in `bytes`, which begin at byte `begin` of the file, by kind - 1; their checksums verified.

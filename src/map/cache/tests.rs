@@ -37,7 +37,6 @@ fn every_page_is_had_with_room_for_one() {
     }
     let figures = octree.figures();
     assert_eq!((figures.total, figures.touched), (8, 8));
-    // Least sizes are generous, so that more than one of these small pages may fit.
     assert!(figures.reread > 0 && figures.read == 8 + figures.reread, "{figures:?}");
     assert!(figures.most_bytes <= Octree::least_cache(&path).unwrap());
     let stored: u64 = octree.records().iter().map(|r| u64::from(r.stored_bytes)).sum();

@@ -219,7 +219,7 @@ thread_local! {
 }
 
 /// Bytes of a page of the machine's memory.
-fn machine_page() -> usize {
+pub(crate) fn machine_page() -> usize {
     #[cfg(unix)]
     // SAFETY: sysconf only reads.
     let bytes = unsafe { libc::sysconf(libc::_SC_PAGESIZE) };
