@@ -329,7 +329,7 @@ where
                 Err(Halt::Absent(PageId(page))) => {
                     done &= !(1 << k);
                     let rest = A::rest(collector, ray);
-                    halted.push((page, Waiting { place: places[k] as u32, trail: trip.trail(), rest }));
+                    halted.push((page, Waiting { place: places[k] as u32, trail: trip.halted(), rest }));
                 }
                 Err(Halt::Failed(error)) => return Err(error),
             }

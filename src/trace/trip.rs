@@ -90,7 +90,7 @@ impl Halting {
 
     /// Where the walk was halted.
     #[inline]
-    pub fn trail(&self) -> Trail {
+    pub fn halted(&self) -> Trail {
         self.path
     }
 }
@@ -136,7 +136,7 @@ mod tests {
         assert_eq!(trip.enter(0b110), 0b110);
         trip.keep(1);
         trip.take(2);
-        let halted = trip.trail();
+        let halted = trip.halted();
         assert_eq!((halted.length, halted.get(0), halted.get(1), halted.get(2)), (2, Some(1), Some(2), None));
         // The same way again: what came before is left out.
         trip.begin(halted);
@@ -149,7 +149,7 @@ mod tests {
         assert_eq!(trip.enter(0b11), 0b11);
         trip.back(0);
         trip.take(3);
-        assert_eq!((trip.trail().length, trip.trail().get(0), trip.enter(1)), (1, Some(3), 1));
+        assert_eq!((trip.halted().length, trip.halted().get(0), trip.enter(1)), (1, Some(3), 1));
     }
 
     #[test]

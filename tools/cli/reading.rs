@@ -27,7 +27,7 @@ pub enum How {
 }
 
 /// Memory for what is not counted: code that has not run yet, stacks, small things.
-const REST: u64 = 8 << 20;
+const REST: u64 = 4 << 20;
 
 impl Reading {
     /// The bound on memory, if these files are to be read within one.
