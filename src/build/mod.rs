@@ -23,6 +23,7 @@ mod brick;
 mod checkpoint;
 mod chunk;
 mod distribute;
+mod early;
 mod faces;
 mod grid;
 mod join;

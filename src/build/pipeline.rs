@@ -14,6 +14,7 @@ use super::brick::{BrickBuilder, BuiltBrick};
 use super::checkpoint::{ChunkState, PageEntry, PageLog, State};
 use super::chunk::{BrickList, BrickRule, bricks};
 use super::distribute::{Chunk, Extent, Records, Sorting};
+use super::early::Early;
 use super::grid::{CellCode, Grid, Placement, Unit};
 use super::materials::materials;
 use super::options::{BuildOptions, Tuning, alone_bytes};
@@ -160,13 +161,14 @@ impl<'a> Build<'a> {
     }
 
     /// Sorts the records into chunks if there are more than one, and writes all pages.
-    fn run(
+    fn run<'w>(
         &mut self,
-        stage: Stage<'_>,
+        stage: Stage<'w>,
         state: Option<State>,
-        work: &WorkFolder,
+        work: &'w WorkFolder,
         phases: &mut Phases<'_>,
     ) -> Result<()> {
+        let (stage, state) = self.early(stage, state, work, phases)?;
         let sorting = Sorting {
             tuning: self.tuning,
             placement: self.rule.placement,
@@ -176,7 +178,7 @@ impl<'a> Build<'a> {
         };
         let (spool, chunks, done) = match stage {
             Stage::Joined(records, grid) => {
-                let root = Unit { cell: CellCode::ROOT, triangles: self.report.triangles };
+                let root = Unit { cell: CellCode::ROOT, triangles: records.len() / self.layout.words() as u64 };
                 let extents = vec![Extent { at: 0, words: records.len() }];
                 let whole = Chunk { units: vec![root], extents };
                 self.writer.restart()?;
@@ -203,6 +205,45 @@ impl<'a> Build<'a> {
         };
         phases.begin("chunks");
         self.chunks(&spool, &chunks, done, sorting, (work, 1), phases)
+    }
+
+    /// Cuts large triangles where that pays; notes whether records stand for parts of triangles.
+    fn early<'w>(
+        &mut self,
+        stage: Stage<'w>,
+        mut state: Option<State>,
+        work: &'w WorkFolder,
+        phases: &mut Phases<'_>,
+    ) -> Result<(Stage<'w>, Option<State>)> {
+        let early = Early {
+            rule: self.rule,
+            layout: self.layout,
+            longest: self.mesh.tally.longest,
+            tuning: self.tuning,
+            monitor: self.monitor,
+        };
+        let stage = match stage {
+            Stage::Joined(records, grid) if self.options.ids && early.is_for(self.report.triangles) => {
+                phases.begin("split");
+                match early.cut(&records, work)? {
+                    Some(parts) => {
+                        self.layout.parts = true;
+                        Stage::Joined(parts, None)
+                    }
+                    None => Stage::Joined(records, grid),
+                }
+            }
+            stage => {
+                self.layout.parts = matches!(stage, Stage::Sorted(..)) && state.as_ref().is_some_and(|state| state.parts);
+                stage
+            }
+        };
+        self.bricks.layout = self.layout;
+        if let Some(state) = &mut state {
+            state.parts = self.layout.parts;
+        }
+        self.check_memory()?;
+        Ok((stage, state))
     }
 
     /// Goes on with the pages that a killed build wrote: how many chunks they make.
