@@ -29,7 +29,7 @@ use crate::mesh::MaterialInfo;
 pub(super) struct State {
     key: Key,
     pub joined: JoinedState,
-    /// Whether the records that were sorted stand for parts of triangles.
+    /// Whether records stand for parts of triangles: then they lie in the spool of that name.
     pub parts: bool,
     /// The chunks, if the records were sorted into some.
     pub chunks: Option<Vec<ChunkState>>,
@@ -328,7 +328,7 @@ mod tests {
         let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
         let mut tally = Tally::new();
         (tally.kept, tally.dropped.bad_index, tally.merged) = (5, 6, 7);
-        let layout = Layout { materials: true, normals: false, texcoords: true };
+        let layout = Layout { materials: true, normals: false, texcoords: true, parts: false };
         let material = MaterialInfo {
             name: "red".into(),
             kd: Some([0.1, f32::NAN, -0.0]),

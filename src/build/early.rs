@@ -42,16 +42,16 @@ use super::work::WorkFolder;
 /// Most references that cuts may add, in hundredths of the triangles.
 const SHARE: u64 = 25;
 /// How far a triangle may reach out of its brick's cell, as a part of the cell's side.
-static SLACK: std::sync::LazyLock<f64> = std::sync::LazyLock::new(|| std::env::var("OCT_SLACK").map_or(0.125, |v| v.parse().unwrap()));
+const SLACK: f64 = 1.0 / 8.0;
 /// Cuts are made if the surface of all bricks falls below this part of what it is without.
 const GAIN: f64 = 0.9;
 /// The level of the finest cells in which triangles are counted: 2^18 cells, of 16384 triangles each more than any file holds.
 const FINEST: u32 = 6;
-/// Records that are looked at together. Not a share of anything that depends on the memory.
-const BLOCK: usize = 4096;
-/// Most cuts that are counted in a block: so that a heap of huge triangles ends. Those left out are the least.
-const BLOCK_CUTS: usize = 1 << 16;
-/// Classes of cuts. Class c holds those that spare 2^((c - CLASSES) / 4) to 2^((c + 1 - CLASSES) / 4) of the root's side, squared.
+/// Records that are looked at together.
+const BLOCK: usize = 256;
+/// Most cuts that are counted, and so made, in a block, lest a heap of huge triangles never ends: those left out are the least.
+const BLOCK_CUTS: usize = 1 << 14;
+/// Classes of cuts, four from one power of two to the next, of which the last ends at the root's side squared.
 const CLASSES: usize = 96;
 
 /// What early splits depend on.
@@ -86,7 +86,7 @@ impl Early<'_> {
         let finest = FINEST.min(self.rule.depth);
         self.rule.placement.split == SplitMode::Sah
             && triangles > u64::from(self.rule.limit)
-            && self.is_longer(*SLACK / f64::from(1u32 << finest))
+            && self.is_longer(SLACK / f64::from(1u32 << finest))
     }
 
     /// Whether the longest triangle is longer than so many root units, or nearly.
@@ -98,11 +98,10 @@ impl Early<'_> {
     pub fn cut<'w>(&self, records: &Spool<'_>, work: &'w WorkFolder) -> Result<Option<Spool<'w>>> {
         let extents = [Extent { at: 0, words: records.len() }];
         let records = Records { spool: records, extents: &extents, layout: self.layout };
-        let mut cuts = Cuts { early: self, grid: self.count(records)?, least: 0 };
+        let mut cuts = Cuts { early: self, grid: self.count(records)?, least: CLASSES };
         let triangles = cuts.grid.held(CellCode::ROOT);
-        let least = cuts.least(records, triangles / 100 * SHARE + triangles % 100 * SHARE / 100)?;
-        cuts.least = least;
-        if least == CLASSES {
+        cuts.least = cuts.lowest_class(records, triangles * SHARE / 100)?;
+        if cuts.least == CLASSES {
             return Ok(None);
         }
         cuts.make(records, Spool::new(work, "parts", self.tuning.record_words))
@@ -121,19 +120,32 @@ impl Early<'_> {
         Ok(grid)
     }
 
-    /// Calls `work` with blocks of records, in parallel, and `take` with the results in order. Blocks do not depend on the memory.
+    /// Calls `work` with blocks of records, in parallel, and `take` with the results in order. Blocks do not depend on the
+    /// memory, but how many are worked on at a time does: all parts they may have, together.
     fn blocks<T: Send>(
         &self,
         records: Records<'_>,
         work: impl Fn(&[u32]) -> T + Sync,
         mut take: impl FnMut(T) -> Result<()>,
     ) -> Result<()> {
+        let words = self.layout.words();
+        let part_bytes = 4 * Layout { parts: true, ..self.layout }.words();
+        let wave = (self.tuning.wave_bytes as usize / ((BLOCK + BLOCK_CUTS) * part_bytes)).clamp(1, 256);
         let piece = (self.tuning.piece as usize / BLOCK).max(1) * BLOCK;
-        records.pieces(piece as u64, self.monitor, |words| {
-            let results: Vec<T> = words.par_chunks(BLOCK * self.layout.words()).map(&work).collect();
-            results.into_iter().try_for_each(&mut take)
+        records.pieces(piece as u64, self.monitor, |piece| {
+            piece.chunks(wave * BLOCK * words).try_for_each(|blocks| {
+                let results: Vec<T> = blocks.par_chunks(BLOCK * words).map(&work).collect();
+                results.into_iter().try_for_each(&mut take)
+            })
         })
     }
+}
+
+/// The class of a cut that spares so much, in units of the root's side, squared.
+fn class_of(spared: f64) -> usize {
+    // The exponent and two bits more.
+    let (quarters, one) = (spared.to_bits() >> 50, 1f64.to_bits() >> 50);
+    (CLASSES as u64 + quarters).saturating_sub(one).min(CLASSES as u64 - 1) as usize
 }
 
 impl Cuts<'_> {
@@ -141,7 +153,7 @@ impl Cuts<'_> {
     fn cell(&self, part: Aabb) -> CellCode {
         let code = cell_of(self.early.rule.placement.root, part);
         let at = |level: u32| CellCode { level, code: code >> (3 * (morton::BITS - level)) };
-        let is_brick = |&cell: &CellCode| self.grid.held(cell) <= (self.early.rule.limit as f64 * *FULL) as u64;
+        let is_brick = |&cell: &CellCode| self.grid.held(cell) <= self.early.rule.limit.into();
         (0..self.grid.finest()).map(at).find(is_brick).unwrap_or(at(self.grid.finest()))
     }
 
@@ -152,25 +164,23 @@ impl Cuts<'_> {
         let reach = (cell.min - bounds.min).max(bounds.max - cell.max).to_array();
         let axis = (1..3).fold(0, |best, axis| if reach[axis] > reach[best] { axis } else { best });
         let side = (cell.max - cell.min).x;
-        if reach[axis] <= *SLACK * side {
+        if reach[axis] <= SLACK * side {
             return None;
         }
         // The coarsest plane that leaves more than a sliver on either side; a border of the cell is one.
-        let (low, high) = (bounds.min[axis] + *SLACK * side, bounds.max[axis] - *SLACK * side);
+        let (low, high) = (bounds.min[axis] + SLACK * side, bounds.max[axis] - SLACK * side);
         let place = (1..=morton::BITS).find_map(|level| {
             let step = 1.0 / f64::from(1u32 << level);
             let place = (low / step).ceil() * step;
             (place <= high).then_some(place)
         })?;
         let plane = (root.corner[axis] + place * root.side()) as f32;
-        let worth = (reach[axis] * side).to_bits() >> 50;
-        let one = 1f64.to_bits() >> 50;
-        let class = (CLASSES as u64 + worth).saturating_sub(one).min(CLASSES as u64 - 1) as usize;
+        let class = class_of(reach[axis] * side);
         (part.min[axis] < plane && plane < part.max[axis]).then_some(Chosen { class, axis, plane })
     }
 
-    /// The lowest class of cuts to be made, if there are to be at most `most`.
-    fn least(&self, records: Records<'_>, most: u64) -> Result<usize> {
+    /// The lowest class of cuts to be made, if there are to be at most `most`; [`CLASSES`] = none.
+    fn lowest_class(&self, records: Records<'_>, most: u64) -> Result<usize> {
         let (mut all, mut counted) = ([0u64; CLASSES], 0);
         self.early.blocks(
             records,
@@ -247,7 +257,6 @@ impl Cuts<'_> {
             after.merge(more_after);
             spool.append(&words)
         })?;
-        eprintln!("EARLY least {} parts {} before {} {} after {} {}", self.least, spool.len() / with_parts.words() as u64, before.surface(), before.0.len(), after.surface(), after.0.len());
         Ok((after.surface() < GAIN * before.surface()).then_some(spool))
     }
 }
@@ -271,4 +280,16 @@ impl Boxes {
         self.0.values().map(|bounds| bounds.half_area()).sum()
     }
 }
-static FULL: std::sync::LazyLock<f64> = std::sync::LazyLock::new(|| std::env::var("OCT_FULL").map_or(1.0, |v| v.parse().unwrap()));
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_rise_with_what_is_spared() {
+        assert_eq!([1.0, 0.99, 0.5, 0.49, 0.25].map(class_of), [95, 95, 92, 91, 88]);
+        // The least cut of all: what reaches out of the least cell by the slack.
+        let least = SLACK * 4f64.powi(-(FINEST as i32));
+        assert!(class_of(least) > 0 && class_of(0.0) == 0);
+    }
+}

@@ -69,7 +69,6 @@ pub(super) fn build_tuned(
         }
     };
     let mut build = Build::new(&mesh, options, tuning, writer, monitor);
-    build.check_memory()?;
     build.run(stage, state, &work, &mut phases)?;
     phases.begin("stitch");
     let mut report = build.finish(output)?;
@@ -164,11 +163,11 @@ impl<'a> Build<'a> {
     fn run<'w>(
         &mut self,
         stage: Stage<'w>,
-        state: Option<State>,
+        mut state: Option<State>,
         work: &'w WorkFolder,
         phases: &mut Phases<'_>,
     ) -> Result<()> {
-        let (stage, state) = self.early(stage, state, work, phases)?;
+        let stage = self.early(stage, &mut state, work, phases)?;
         let sorting = Sorting {
             tuning: self.tuning,
             placement: self.rule.placement,
@@ -207,14 +206,14 @@ impl<'a> Build<'a> {
         self.chunks(&spool, &chunks, done, sorting, (work, 1), phases)
     }
 
-    /// Cuts large triangles where that pays; notes whether records stand for parts of triangles.
+    /// Cuts large triangles where that pays, if it was not done before: then records stand for parts of triangles.
     fn early<'w>(
         &mut self,
-        stage: Stage<'w>,
-        mut state: Option<State>,
+        mut stage: Stage<'w>,
+        state: &mut Option<State>,
         work: &'w WorkFolder,
         phases: &mut Phases<'_>,
-    ) -> Result<(Stage<'w>, Option<State>)> {
+    ) -> Result<Stage<'w>> {
         let early = Early {
             rule: self.rule,
             layout: self.layout,
@@ -222,28 +221,27 @@ impl<'a> Build<'a> {
             tuning: self.tuning,
             monitor: self.monitor,
         };
-        let stage = match stage {
-            Stage::Joined(records, grid) if self.options.ids && early.is_for(self.report.triangles) => {
-                phases.begin("split");
-                match early.cut(&records, work)? {
-                    Some(parts) => {
-                        self.layout.parts = true;
-                        Stage::Joined(parts, None)
-                    }
-                    None => Stage::Joined(records, grid),
+        let mut is_cut = state.as_ref().is_some_and(|state| state.parts);
+        if let Stage::Joined(records, _) = &stage
+            && !is_cut
+            && self.options.ids
+            && early.is_for(self.report.triangles)
+        {
+            phases.begin("split");
+            if let Some(mut parts) = early.cut(records, work)? {
+                if let Some(state) = state {
+                    parts.spill()?;
+                    (state.parts, state.joined.record_words) = (true, parts.len());
+                    state.save(work)?;
                 }
+                // Only now may the records of whole triangles go.
+                (stage, is_cut) = (Stage::Joined(parts, None), true);
             }
-            stage => {
-                self.layout.parts = matches!(stage, Stage::Sorted(..)) && state.as_ref().is_some_and(|state| state.parts);
-                stage
-            }
-        };
-        self.bricks.layout = self.layout;
-        if let Some(state) = &mut state {
-            state.parts = self.layout.parts;
         }
+        self.layout.parts = is_cut;
+        self.bricks.layout = self.layout;
         self.check_memory()?;
-        Ok((stage, state))
+        Ok(stage)
     }
 
     /// Goes on with the pages that a killed build wrote: how many chunks they make.

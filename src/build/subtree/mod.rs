@@ -37,8 +37,8 @@ mod wide;
 
 pub use cell::{Cell, cell_of, overlaps};
 pub use clip::cut_box;
-pub(crate) use wide::Bounds;
 pub use top::{TopBrick, build_top, top_levels};
+pub(crate) use wide::Bounds;
 
 use crate::format::{LeafUnit, Node, Points, SplitMode};
 use crate::geometry::{Aabb, RootCube, Triangle};

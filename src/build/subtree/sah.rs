@@ -146,9 +146,8 @@ impl<'a> Canonical<'a> {
         if self.parts.is_empty() {
             return (0..self.order.len() as u32).map(whole).collect();
         }
-        let part = |&Part { id, bounds }: &Part| {
-            whole(id).within(Span { min: bounds.min.into(), max: bounds.max.into() })
-        };
+        let part =
+            |&Part { id, bounds }: &Part| whole(id).within(Span { min: bounds.min.into(), max: bounds.max.into() });
         self.parts.iter().map(part).collect()
     }
 }
