@@ -99,6 +99,10 @@ impl Early<'_> {
         let extents = [Extent { at: 0, words: records.len() }];
         let records = Records { spool: records, extents: &extents, layout: self.layout };
         let mut cuts = Cuts { early: self, grid: self.count(records)?, least: CLASSES };
+        let deepest = cuts.grid.deepest(self.rule.limit.into());
+        if !self.is_longer(SLACK / f64::from(1u32 << deepest)) {
+            return Ok(None);
+        }
         let triangles = cuts.grid.held(CellCode::ROOT);
         cuts.least = cuts.lowest_class(records, triangles * SHARE / 100)?;
         if cuts.least == CLASSES {

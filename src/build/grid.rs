@@ -120,6 +120,14 @@ impl Grid {
         self.counter(cell).load(Ordering::Relaxed).into()
     }
 
+    /// The deepest level, at most the finest, of a cell within one that holds more than `limit`, once all is summed up.
+    pub fn deepest(&self, limit: u64) -> u32 {
+        let is_divided =
+            |level: &&Vec<AtomicU32>| level.iter().any(|count| u64::from(count.load(Ordering::Relaxed)) > limit);
+        let divided = self.levels.iter().take_while(is_divided).count() as u32;
+        (self.from.level + divided).min(self.finest())
+    }
+
     fn counter(&self, cell: CellCode) -> &AtomicU32 {
         let depth = cell.level - self.from.level;
         &self.levels[depth as usize][(cell.code & ((1 << (3 * depth)) - 1)) as usize]
