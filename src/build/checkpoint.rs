@@ -29,6 +29,8 @@ use crate::mesh::MaterialInfo;
 pub(super) struct State {
     key: Key,
     pub joined: JoinedState,
+    /// Whether records stand for parts of triangles: then they lie in the spool of that name.
+    pub parts: bool,
     /// The chunks, if the records were sorted into some.
     pub chunks: Option<Vec<ChunkState>>,
 }
@@ -55,6 +57,7 @@ pub(super) struct JoinedState {
     polygons: [u64; 3],
     merged: u64,
     shift: u64,
+    longest: u32,
     bounds: [u32; 6],
     all_bounds: [u32; 6],
     materials: Vec<MaterialState>,
@@ -87,7 +90,7 @@ impl Key {
 impl State {
     /// The state after the join; `None` if the source cannot be told from others.
     pub fn new(options: &BuildOptions, joined: JoinedState) -> Option<State> {
-        Some(State { key: Key::of(options)?, joined, chunks: None })
+        Some(State { key: Key::of(options)?, joined, parts: false, chunks: None })
     }
 
     /// What an earlier build of the same source with the same options left.
@@ -143,6 +146,7 @@ impl JoinedState {
             polygons: [p.cut, p.clipped, p.fanned],
             merged: tally.merged,
             shift: tally.shift.to_bits(),
+            longest: tally.longest.to_bits(),
             bounds: bits(tally.bounds),
             all_bounds: bits(tally.all_bounds),
             materials: materials.iter().map(material).collect(),
@@ -151,7 +155,7 @@ impl JoinedState {
 
     pub fn layout(&self) -> Layout {
         let [materials, normals, texcoords] = self.layout;
-        Layout { materials, normals, texcoords }
+        Layout { materials, normals, texcoords, parts: false }
     }
 
     pub fn tally(&self) -> Tally {
@@ -163,6 +167,7 @@ impl JoinedState {
             polygons: Polygons { cut, clipped, fanned },
             merged: self.merged,
             shift: f64::from_bits(self.shift),
+            longest: f32::from_bits(self.longest),
             bounds: bounds(self.bounds),
             all_bounds: bounds(self.all_bounds),
         }
@@ -323,7 +328,7 @@ mod tests {
         let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
         let mut tally = Tally::new();
         (tally.kept, tally.dropped.bad_index, tally.merged) = (5, 6, 7);
-        let layout = Layout { materials: true, normals: false, texcoords: true };
+        let layout = Layout { materials: true, normals: false, texcoords: true, parts: false };
         let material = MaterialInfo {
             name: "red".into(),
             kd: Some([0.1, f32::NAN, -0.0]),

@@ -7,7 +7,7 @@ use crate::event::Monitor;
 /// What a phase took.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Phase {
-    /// Its name: "scan", "join", "count", "distribute", "chunks" or "stitch".
+    /// Its name: "scan", "join", "split", "count", "distribute", "chunks" or "stitch".
     pub name: &'static str,
     /// Seconds by the clock.
     pub seconds: f64,

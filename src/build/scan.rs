@@ -33,6 +33,7 @@ impl Scan<'_> {
             materials: self.faces.has_materials && !self.info.materials.is_empty(),
             normals: self.faces.has_normals,
             texcoords: self.faces.has_texcoords,
+            parts: false,
         }
     }
 

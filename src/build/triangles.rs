@@ -104,7 +104,10 @@ pub(super) fn taken_up<'w>(work: &'w WorkFolder, options: &BuildOptions) -> Opti
             let chunks = chunks.iter().map(ChunkState::chunk).collect();
             Stage::Sorted(Spool::reopen(work, "chunks0", end)?, chunks)
         }
-        None => Stage::Joined(Spool::reopen(work, "records", state.joined.record_words)?, None),
+        None => {
+            let name = if state.parts { "parts" } else { "records" };
+            Stage::Joined(Spool::reopen(work, name, state.joined.record_words)?, None)
+        }
     };
     let mesh = Mesh::of(&state.joined);
     Some(Triangles { mesh, stage, state: Some(state) })

@@ -30,12 +30,14 @@ pub struct Plan {
 }
 
 impl Plan {
-    /// The plan of a picture of this scene on `threads` threads in `memory` bytes, of which pages need at least `pages`.
+    /// The plan of a picture of this scene on `threads` threads in `memory` bytes, of which pages need at least `pages`; `aovs` pictures of
+    /// data are made after it.
     ///
     /// Errors: the least memory, if that is more; settings that make no picture.
     pub fn new(
         scene: &Scene,
         settings: &Settings,
+        aovs: usize,
         threads: usize,
         memory: u64,
         pages: u64,
@@ -44,7 +46,8 @@ impl Plan {
         let samples = settings.samples.unwrap_or(scene.samples);
         sampling::side(samples).ok_or_else(|| tiles::not_a_square(samples))?;
         let pixels = u64::from(width) * u64::from(height);
-        let film = 12 * pixels;
+        // Pictures of data are made and written while pages are there.
+        let film = pixels * if aovs > 0 { 12 + WRITING + 12 * aovs as u64 } else { 12 };
         let refracts = scene.materials.iter().any(|material| material.transmit != 0.0);
         let each = (Wave::sample_bytes(refracts) * threads) as u64;
         // The sums and colours of a tile's pixels, of which there are no more than samples but for the rounding of sides.
@@ -71,11 +74,11 @@ mod tests {
     fn shares_add_up_to_the_memory() {
         let scene = Scene { size: [1024, 1024], samples: 1, ..Scene::default() };
         let settings = Settings::default();
-        let least = Plan::new(&scene, &settings, 2, 0, 1 << 20).unwrap().unwrap_err();
-        assert!(Plan::new(&scene, &settings, 2, least, 1 << 20).unwrap().is_ok());
+        let least = Plan::new(&scene, &settings, 0, 2, 0, 1 << 20).unwrap().unwrap_err();
+        assert!(Plan::new(&scene, &settings, 0, 2, least, 1 << 20).unwrap().is_ok());
         let mut before = 0;
         for memory in [least, 64 << 20, 100 << 20, 256 << 20, 1 << 30, 1 << 40] {
-            let plan = Plan::new(&scene, &settings, 2, memory, 1 << 20).unwrap().unwrap();
+            let plan = Plan::new(&scene, &settings, 0, 2, memory, 1 << 20).unwrap().unwrap();
             let waves = (2 * plan.wave * Wave::sample_bytes(false)) as u64;
             assert!(plan.pages + waves + (12 << 20) <= memory && plan.pages >= 1 << 20, "{memory}: {plan:?}");
             assert!(plan.wave >= before && plan.wave.is_power_of_two(), "{memory}: {plan:?}");
@@ -84,6 +87,6 @@ mod tests {
         }
         assert_eq!(before, 1 << 16);
         let odd = Settings { samples: Some(5), ..settings };
-        assert!(matches!(Plan::new(&scene, &odd, 2, 1 << 30, 0), Err(crate::Error::Option(_))));
+        assert!(matches!(Plan::new(&scene, &odd, 0, 2, 1 << 30, 0), Err(crate::Error::Option(_))));
     }
 }

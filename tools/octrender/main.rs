@@ -1,5 +1,6 @@
 //! octrender: draws a scene, an octree file or an OBJ file.
 
+mod aovs;
 #[path = "../cli/mod.rs"]
 mod cli;
 mod place;
@@ -19,6 +20,7 @@ use octrace::scene::{LoadOptions, MeshFile, Scene};
 use octrace::shade::World;
 use octrace::{Error, Result, find_or_build};
 
+use aovs::AovFile;
 use cli::args::{Common, StatsFile};
 use cli::reading::{self, Reading};
 use cli::{Arguments, Session};
@@ -65,6 +67,10 @@ struct PictureArgs {
     /// Draw only these pixels, counted from the top left corner; X1 and Y1 are not included
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = cli::args::pixels)]
     crop: Option<[u32; 4]>,
+    /// Write a picture of data too, as .exr (the numbers) or .png (false colours); NAME is depth, normal, position, face,
+    /// material, shadow, cost (nodes and leaves visited) or pages (entered); may be repeated
+    #[arg(long, value_name = "NAME=FILE", value_parser = aovs::parse)]
+    aov: Vec<AovFile>,
 }
 
 const EXAMPLES: &str = "\
@@ -77,6 +83,7 @@ Examples:
   octrender scene.txt -o light.exr                    linear light, unclamped
   octrender huge.oct --memory 512M                    a file of any size, never above 512 MiB of memory
   octrender scene.txt --crop 400,300,500,400 --samples 64 -o detail.png
+  octrender scene.txt --aov depth=depth.exr --aov cost=cost.png
 ";
 
 impl Arguments for Args {
@@ -95,16 +102,17 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if place == Place::Stdout {
         args.stats.not_stdout("the picture")?;
     }
+    aovs::check(&args.picture.aov, &place, &args.input)?;
     let tonemap = scene.tonemap;
     let paths = scene.meshes.iter().map(|mesh| find(mesh, args, session)).collect::<Result<Vec<_>>>()?;
     let headers = paths.iter().map(|path| Octree::header_of(path)).collect::<Result<Vec<_>>>()?;
     let bound = args.reading.bound(&headers)?;
     let meshes = paths.iter().map(|path| open(path, bound.is_some())).collect::<Result<Vec<_>>>()?;
     let world = World::new(scene, meshes.clone(), session.monitor())?;
-    let PictureArgs { size, samples, depth, crop } = args.picture;
+    let PictureArgs { size, samples, depth, crop, ref aov } = args.picture;
     let mut settings = Settings { size, samples, depth, crop, ..Settings::default() };
     if let Some(memory) = bound {
-        let plan = plan(&world, &settings, memory, &meshes)?;
+        let plan = plan(&world, &settings, aov.len(), memory, &meshes)?;
         (settings.tile, settings.wave) = (plan.tile, plan.wave);
         for (path, header) in paths.iter().zip(&headers) {
             reading::warning(path, header, memory).into_iter().for_each(|text| session.monitor().warn(text));
@@ -118,12 +126,18 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         return broken_off(&picture, &place, tonemap, session);
     }
     let stats = Stats::new(&picture, trace_cpu_seconds, &meshes);
-    // What pages take is free for writing the picture.
-    drop((world, meshes));
+    let mut drawn = Some((world, meshes));
+    if aov.is_empty() {
+        // What pages take is free for writing the picture.
+        drawn = None;
+    }
     session.monitor().phase("write");
     match &place {
         Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
         Place::File(path) => output::save(&picture.film, path, tonemap)?,
+    }
+    if let Some((world, _)) = &drawn {
+        aovs::write(aov, world, &settings, session)?;
     }
     let stats = stats.finished();
     session.say(stats.line(&place));
@@ -156,12 +170,12 @@ fn open(path: &Path, budgeted: bool) -> Result<Arc<Octree>> {
     Octree::open_with(path, read).map(Arc::new)
 }
 
-/// Shares the memory that is left out among waves of rays and the pages of all meshes.
-fn plan(world: &World, settings: &Settings, memory: u64, meshes: &[Arc<Octree>]) -> Result<Plan> {
+/// Shares the memory that is left out among waves of rays and the pages of all meshes. Each of the pictures of data takes its part too.
+fn plan(world: &World, settings: &Settings, aovs: usize, memory: u64, meshes: &[Arc<Octree>]) -> Result<Plan> {
     let headers: Vec<_> = meshes.iter().map(|mesh| *mesh.header()).collect();
     let leasts = meshes.iter().map(|mesh| Octree::least_cache(mesh.path())).collect::<Result<Vec<_>>>()?;
     let least = leasts.iter().sum::<u64>();
-    let plan_for = |memory| Plan::new(world.scene(), settings, rayon::current_num_threads(), memory, least);
+    let plan_for = |memory| Plan::new(world.scene(), settings, aovs, rayon::current_num_threads(), memory, least);
     let plan = match reading::left_of(memory, &headers) {
         Err(taken) => Err(taken + plan_for(0)?.err().unwrap_or(0)),
         Ok(left) => plan_for(left)?.map_err(|least| memory - left + least),
