@@ -208,7 +208,8 @@ fn cut_before_the_partition() {
                 continue;
             }
             let mut huge = std::collections::BTreeSet::new();
-            for page in (0..header.pages).map(|page| octree.page(PageId(page)).unwrap()) {
+            let visit = octree.visit();
+            for page in (0..header.pages).map(|page| visit.page(PageId(page)).unwrap()) {
                 let references = 0..page.header().references;
                 // The walls come first in the file.
                 huge.extend(
