@@ -40,6 +40,7 @@ impl Mapped {
             return Err(octree.no_page(id));
         };
         let Header { flags, materials, source_triangles, .. } = *octree.header();
+        self.map.fetch(record.offset as usize, record.stored_bytes as usize);
         let bytes = self.bytes(record);
         let outcome = match checksum(bytes) == record.checksum {
             true => validate_page(bytes, id, record, flags, materials, source_triangles),

@@ -48,6 +48,15 @@ impl Mapping {
         &self.map
     }
 
+    /// Tells the system that these bytes will be read at once, so that it fetches them together.
+    pub(crate) fn fetch(&self, begin: usize, length: usize) {
+        #[cfg(unix)]
+        // Only advice; a range that does not lie in the file is refused.
+        let _ = self.map.advise_range(memmap2::Advice::WillNeed, begin, length);
+        #[cfg(not(unix))]
+        let _ = (begin, length);
+    }
+
     /// Whether the file proved shorter than it was when it was mapped. Once true, it stays so.
     #[inline]
     pub(crate) fn faulted(&self) -> bool {
