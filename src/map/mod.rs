@@ -5,6 +5,7 @@
 //! sound; a page of a packed file is unpacked then, and kept. [`Octree::verify`] checks all of it. A file cut short while it is mapped reads as zeros from there on
 //! (`mmap.rs`), and [`Octree::fault`] says so: ask it before trusting what was read.
 
+mod detail;
 mod mmap;
 mod page;
 #[cfg(test)]
@@ -30,6 +31,7 @@ use crate::format::{
 use crate::geometry::{Aabb, RootCube};
 use mmap::Mapping;
 
+pub use detail::Detail;
 pub use page::Page;
 pub use survey::Parts;
 
@@ -39,7 +41,9 @@ pub struct Octree {
     map: Mapping,
     header: Header,
     /// Where the sections lie in the map, by kind - 1; empty for those the file has not.
-    sections: [Range<usize>; 5],
+    sections: [Range<usize>; SectionKind::COUNT],
+    /// Whether what is for level of detail is sound, once that was asked.
+    detail: OnceLock<Result<(), String>>,
     /// Which pages were checked and found sound.
     sound: Box<[AtomicBool]>,
     /// The pages of a packed file, each unpacked when it is first used; empty for one that is not packed.
@@ -70,7 +74,8 @@ impl Octree {
         let sound = (0..header.pages).map(|_| AtomicBool::new(false)).collect();
         let packed = if header.flags.has(Flags::PACKED) { header.pages } else { 0 };
         let unpacked = (0..packed).map(|_| OnceLock::new()).collect();
-        let octree = Octree { path: path.to_owned(), map, header, sections, sound, unpacked };
+        let detail = OnceLock::new();
+        let octree = Octree { path: path.to_owned(), map, header, sections, detail, sound, unpacked };
         validate_top(&octree.header, &octree.top()).map_err(|what| octree.damaged(None, what))?;
         octree.fault()?;
         Ok(octree)
@@ -244,13 +249,14 @@ impl Octree {
     }
 }
 
-/// Where the sections lie in memory, by kind - 1, their checksums verified.
-fn section_ranges(header: &Header, file: &[u8]) -> Result<[Range<usize>; 5], String> {
-    let mut ranges = [const { 0..0 }; 5];
+/// Where the sections lie in memory, by kind - 1, the checksums of those that are always used verified.
+fn section_ranges(header: &Header, file: &[u8]) -> Result<[Range<usize>; SectionKind::COUNT], String> {
+    let mut ranges = [const { 0..0 }; SectionKind::COUNT];
     for section in header.sections.iter().filter(|s| s.kind != 0) {
         let range = section.offset as usize..(section.offset + section.bytes) as usize;
         let bytes = file.get(range.clone()).ok_or("a section reaches beyond the end of the file")?;
-        if checksum(bytes) != section.checksum {
+        // What is for level of detail grows with the file and is checked when it is first used.
+        if section.kind < SectionKind::Heads as u32 && checksum(bytes) != section.checksum {
             return Err(format!("the checksum of section {} is wrong", section.kind));
         }
         ranges[section.kind as usize - 1] = range;

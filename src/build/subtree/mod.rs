@@ -22,6 +22,7 @@ mod choice;
 mod clip;
 mod collapse;
 mod emit;
+mod lod;
 mod octree;
 mod primitive;
 mod quantise;
@@ -36,6 +37,7 @@ mod top;
 mod wide;
 
 pub use cell::{Cell, cell_of, overlaps};
+pub use lod::{surrogates, top_surrogates};
 pub use top::{TopBrick, build_top, top_levels};
 
 use crate::format::{LeafUnit, Node, Points, SplitMode};
