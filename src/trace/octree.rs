@@ -7,12 +7,13 @@ use super::ask::{Ask, Least, LeastHit, LeastOfEach, Whether, WhetherEach};
 use super::batch::{Batch, SPACE};
 use super::collect::Collector;
 use super::flight::{Flight, STACKS, WORTHWHILE};
+use super::lod::{Approximate, Coarse, Footprint, Met};
 use super::near::Near;
 use super::packet::{self, PACKET};
 use super::setup::Scene;
 use super::walk::{CACHED, File};
 use super::{Counters, Found, Tracer, batch};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::Octree;
 
@@ -95,6 +96,24 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         self.octree().fault()
     }
 
+    /// Answers rays with widths, on this thread.
+    fn coarse<A: Ask>(
+        &self,
+        ask: A,
+        rays: &[Ray],
+        (footprints, pixels): (&[Footprint], f64),
+        counters: &mut Counters,
+        give: impl FnMut(usize, A::Answer, Option<Approximate>),
+    ) -> Result<()> {
+        let (octree, scene) = (self.octree(), &self.scene);
+        let Some(detail) = octree.detail()? else {
+            let file = octree.path().to_owned();
+            return Err(Error::Input { file, what: "has no level of detail; build it again, without --no-lod".into() });
+        };
+        self.isa.run(Coarse { ask, rays, footprints, pixels, octree, detail, scene, counters, give })?;
+        octree.fault()
+    }
+
     /// Answers rays of which nothing is known, on this thread, by the walk that is faster for them and for the file.
     fn many<A: Ask>(&self, ask: A, rays: &[Ray], answers: &mut [A::Answer], counters: &mut Counters) -> Result<()>
     where
@@ -165,6 +184,44 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
         assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
         self.isa.run(Near { octree: self.octree(), rays, skips, blocked, counters })?;
         self.octree().fault()
+    }
+
+    fn closest_coarse(
+        &self,
+        rays: &[Ray],
+        footprints: &[Footprint],
+        pixels: f64,
+        met: &mut [Met],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        assert!(
+            rays.len() == footprints.len() && rays.len() == met.len() && pixels > 0.0,
+            "a width and an answer a ray"
+        );
+        let give = |i: usize, found: Option<Found>, surrogate: Option<Approximate>| {
+            met[i] = match (found, surrogate) {
+                (Some(found), Some(surrogate)) if surrogate.t < found.hit.t => Met::Surrogate(surrogate),
+                (Some(found), _) => Met::Triangle(found),
+                (None, Some(surrogate)) => Met::Surrogate(surrogate),
+                (None, None) => Met::Nothing,
+            };
+        };
+        self.coarse(Least { skip: Skip::NONE, last: None }, rays, (footprints, pixels), counters, give)
+    }
+
+    fn any_coarse(
+        &self,
+        rays: &[Ray],
+        skips: &[Skip],
+        footprints: &[Footprint],
+        pixels: f64,
+        blocked: &mut [bool],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        assert!(rays.len() == footprints.len() && pixels > 0.0, "a width a ray");
+        let give = |i: usize, found: bool, surrogate: Option<Approximate>| blocked[i] = found || surrogate.is_some();
+        self.coarse(WhetherEach(skips), rays, (footprints, pixels), counters, give)
     }
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {

@@ -23,6 +23,8 @@ pub struct Stats {
     trace_cpu_seconds: f64,
     cpu_seconds: f64,
     pages: Pages,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lod: Option<Lod>,
     peak_rss_bytes: u64,
 }
 
@@ -32,6 +34,21 @@ struct Rays {
     shadow: u64,
     mirror: u64,
     refracted: u64,
+}
+
+/// Level of detail, where it was asked for.
+#[derive(Serialize)]
+struct Lod {
+    /// The error allowed.
+    pixels: f64,
+    /// Surrogates that rays took for hits.
+    hits: u64,
+    /// The largest error of these.
+    largest_error_pixels: f64,
+    /// How many had an error of up to an eighth of what was allowed, two eighths, and so on.
+    histogram: [u64; 8],
+    /// Bytes read beside the pages.
+    bytes_read: u64,
 }
 
 /// Pages of all meshes. In a mapped file each page that is touched is read once, when it is checked.
@@ -45,7 +62,7 @@ struct Pages {
 
 impl Stats {
     /// The statistics of a picture of these meshes.
-    pub fn new(picture: &Picture, trace_cpu_seconds: f64, meshes: &[Arc<Octree>]) -> Stats {
+    pub fn new(picture: &Picture, trace_cpu_seconds: f64, meshes: &[Arc<Octree>], lod: Option<f64>) -> Stats {
         let (s, rays) = (picture.statistics, picture.statistics.rays);
         let touched: u64 = meshes.iter().map(|m| m.used().count() as u64).sum();
         Stats {
@@ -63,8 +80,26 @@ impl Stats {
                 read: touched,
                 bytes_read: meshes.iter().flat_map(|m| m.used()).map(|page| u64::from(page.stored_bytes)).sum(),
             },
+            lod: lod.map(|pixels| Lod {
+                pixels,
+                hits: s.detail.hits,
+                largest_error_pixels: s.detail.largest,
+                histogram: s.detail.histogram,
+                bytes_read: meshes.iter().map(|m| m.detail_bytes()).sum(),
+            }),
             peak_rss_bytes: stats::peak_rss_bytes(),
         }
+    }
+
+    /// What level of detail did, if it was asked for.
+    pub fn lod_line(&self) -> Option<String> {
+        let Lod { pixels, hits, largest_error_pixels, .. } = self.lod.as_ref()?;
+        Some(format!(
+            "level of detail: {} hits off by at most {largest_error_pixels:.3} pixels (allowed {pixels}), {} of {} pages used",
+            HumanCount(*hits),
+            HumanCount(self.pages.touched),
+            HumanCount(self.pages.total)
+        ))
     }
 
     /// The summary: size, rays, seconds.
