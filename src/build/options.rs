@@ -25,7 +25,7 @@ pub struct BuildOptions {
     pub depth: u8,
     /// Whether face ids are stored. Without them no triangle can be stored twice, so large ones are not cut by spatial splits.
     pub ids: bool,
-    /// Whether nodes get surrogates, for level of detail: some 1.2 bytes a triangle.
+    /// Whether nodes get surrogates, for level of detail: 0.3 to 0.6 bytes a triangle of a scan.
     pub lod: bool,
     /// Whether positions are stored as they are or moved to a grid, where they take fewer bytes.
     pub positions: Positions,

@@ -108,7 +108,7 @@ mod tests {
     #[test]
     fn errors_are_counted_by_eighths() {
         let mut counts = DetailCounts::default();
-        [0.0, 0.25, 0.26, 2.0].map(|error| counts.add(error, 2.0));
+        [0.0, 0.25, 0.26, 2.0].into_iter().for_each(|error| counts.add(error, 2.0));
         assert_eq!((counts.hits, counts.largest, counts.histogram), (4, 2.0, [2, 1, 0, 0, 0, 0, 0, 1]));
     }
 }

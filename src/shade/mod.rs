@@ -16,7 +16,8 @@
 //! - A term of weight zero traces no ray. A ray beyond the last bounce, or of a weight below 2^-20, has the
 //!   background's colour.
 //!
-//! With level of detail ([`World::with_lod`], `beam`) a mesh may give a surrogate in place of a triangle: its plane, mean normal and colour.
+//! With level of detail ([`World::with_lod`], `beam`) a mesh may give a surrogate in place of a triangle: its plane, mean normal and colour,
+//! shaded as the rough surface that its normals make it.
 //! Rays that leave one start above all that it stands for, and see nothing nearer than its error.
 //!
 //! Otherwise nothing here shifts a ray by an epsilon: see `origin` for where secondary rays start, `heading` for how their directions are rounded. Soft shadows, glossy

@@ -139,7 +139,7 @@ fn on_surrogate(object: u32, placed: &Placed, met: &Approximate, ray: &WorldRay,
         normal,
         shading: normal,
         front: true,
-        surface: if placed.mtl { surface.overlaid(&record, None, None) } else { surface },
+        surface: if placed.mtl { surface.overlaid(&record, None, None) } else { surface }.of_facets(met.agreement),
         anchor: Anchor::Surrogate { lift: met.deviation * scale, clear: met.reach * scale },
     };
     spot.seen(front)

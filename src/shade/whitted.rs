@@ -144,6 +144,9 @@ impl World {
             return Color::ZERO;
         }
         let mut lit = cosine * surface.diffuse;
+        if surface.roughness > 0.0 {
+            lit *= surface.facets(spot.shading, l, -incoming);
+        }
         if surface.specular != Color::ZERO {
             let h = (l - incoming).normalize_or_zero();
             lit += spot.shading.dot(h).max(0.0).powf(surface.shininess) * surface.specular;

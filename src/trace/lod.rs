@@ -10,7 +10,11 @@
 //! 2. **The slab.** The ray comes as near to the plane, within the box, as the surrogate's deviation. If it does not, it hits nothing of
 //!    the node for certain, and passes.
 //! 3. **A surface.** The triangles fill enough of the box as the ray sees it ([`LEAST_COVERAGE`]), and their normals agree enough for a mean
-//!    to mean something ([`LEAST_AGREEMENT`]). Sparse nodes, silhouettes and crumpled ones are entered, at last down to the triangles.
+//!    to mean something ([`LEAST_AGREEMENT`]). Sparse nodes, silhouettes and crumpled ones are entered until the error is at most a quarter
+//!    of what is allowed ([`FINE`]): there they are taken as well.
+//!
+//! A leaf, which has no surrogate of its own, is judged by its own box and its parent's surrogate: what that says of all triangles below the
+//! parent is true of the leaf's.
 //!
 //! So whatever the tree, a ray that truly hits something at t is given a hit no farther than t plus the error: nothing is lost, surfaces
 //! only grow, by the error at most. The answer is the least t of all surrogates that were taken and all triangles in the nodes that were entered,
@@ -41,6 +45,8 @@ use crate::map::{Detail, Octree};
 const LEAST_COVERAGE: [f64; 2] = [0.25, 0.4];
 /// How long the mean of the unit normals must be.
 const LEAST_AGREEMENT: f64 = 0.35;
+/// The part of the allowed error up to which a node need not look like a surface.
+const FINE: f64 = 0.25;
 /// Rounding of a point of a ray in root units, by its distance from the root.
 const ROUNDING: f64 = 1.0 / (1u64 << 48) as f64;
 /// Rays from farther away, in root sizes, are traced exactly: f64 would not tell on which side of a plane they pass.
@@ -71,6 +77,8 @@ pub struct Approximate {
     pub normal: [f64; 3],
     /// Mean diffuse colour, linear.
     pub color: [f64; 3],
+    /// How far the normals agree: the length of the mean of the unit normals, above 0 to 1.
+    pub agreement: f64,
     /// How far anything of the node may lie from its plane, in the mesh's space.
     pub deviation: f64,
     /// How far the true surface may be, in the mesh's space.
@@ -197,30 +205,13 @@ impl<'a, A: Ask, G> Coarse<'a, '_, A, G> {
                 (at, frame) = (level.at, level.frame);
                 node = at.node(octree);
             }
-            let bit = left & left.wrapping_neg();
             let slot = (left.trailing_zeros() & 7) as usize ^ mask;
             let byte = node.slots[slot];
-            if byte < EMPTY {
-                if let At::Head(brick, head, i) = at {
-                    // Leaves are in the page only; the node is the same there.
-                    let view = self.enter(&file, brick)?;
-                    at = At::Page(view, page_index(&head, i));
-                    node = at.node(octree);
-                    continue;
-                }
-                left ^= bit;
-                let At::Page(view, index) = at else { continue };
-                let Some(stored) = file.stored(&view, index, node, byte, self.counters) else { continue };
-                match collector.leaf(kernel, &stored, ray, sight, depths, &mut far, self.counters) {
-                    Next::On => {}
-                    Next::Nearer => left &= kernel.within(near, far),
-                    Next::Done => break 'walk,
-                }
-                continue;
-            }
-            left ^= bit;
+            left &= left - 1;
             let rank = u32::from(byte & 0x3f);
-            let (child, child_frame, cell) = if byte & 0xc0 == INNER && node.first_child != 0 {
+            let (child, child_frame, cell) = if byte < EMPTY && node.first_leaf != 0 {
+                (Child::Leaf, frame, None)
+            } else if byte & 0xc0 == INNER && node.first_child != 0 {
                 (at.child(node, rank & 7), frame.child(node, slot), None)
             } else if byte & BRICK == BRICK && matches!(at, At::Top(_)) {
                 let number = node.first_leaf.wrapping_add(rank);
@@ -234,7 +225,9 @@ impl<'a, A: Ask, G> Coarse<'a, '_, A, G> {
             match line.judge(child.surrogate(&at, &detail, rank), &child_frame, &RootBox::of_slot(node, slot, &frame)) {
                 Verdict::Pass => continue,
                 Verdict::Take(taken) => {
-                    if best.as_ref().is_none_or(|best| taken.t < best.t) {
+                    // Two leaves may have the same plane, their parent's: then the one with the lesser error.
+                    let rank = |a: &Approximate| (a.t, a.reach);
+                    if best.as_ref().is_none_or(|best| rank(&taken) < rank(best)) {
                         best = Some(taken);
                         far = far.min(sight.setup.reach(taken.t));
                         left &= kernel.within(near, far);
@@ -245,6 +238,21 @@ impl<'a, A: Ask, G> Coarse<'a, '_, A, G> {
                     continue;
                 }
                 Verdict::Enter => {}
+            }
+            if let Child::Leaf = child {
+                if let At::Head(brick, head, i) = at {
+                    // Leaves are in the page only; the node is the same there.
+                    at = At::Page(self.enter(&file, brick)?, page_index(&head, i));
+                    node = at.node(octree);
+                }
+                let At::Page(view, index) = at else { continue };
+                let Some(stored) = file.stored(&view, index, node, byte, self.counters) else { continue };
+                match collector.leaf(kernel, &stored, ray, sight, depths, &mut far, self.counters) {
+                    Next::On => {}
+                    Next::Nearer => left &= kernel.within(near, far),
+                    Next::Done => break 'walk,
+                }
+                continue;
             }
             if left != 0 && levels.len() < LEVELS {
                 let mut level = Level { saved: Saved::zeroed(), at, frame, left };
@@ -258,6 +266,7 @@ impl<'a, A: Ask, G> Coarse<'a, '_, A, G> {
             at = match child {
                 Child::At(at) => at,
                 Child::Below(brick, index) => At::Page(self.enter(&file, brick)?, index),
+                Child::Leaf => continue,
             };
             (frame, node) = (child_frame, at.node(octree));
             self.counters.nodes += 1;
@@ -273,17 +282,21 @@ impl<'a, A: Ask, G> Coarse<'a, '_, A, G> {
     }
 }
 
-/// A child: a node that is at hand, or one of a page that was not needed so far.
+/// A child: a node that is at hand, one of a page that was not needed so far, or a leaf.
 enum Child<'a> {
     At(At<'a>),
     Below(PageId, u32),
+    Leaf,
 }
 
 impl<'a> Child<'a> {
-    /// Its surrogate; `parent` is the node that names it by rank.
+    /// Its surrogate; `parent` is the node that names it by rank. Leaves have none: their parent's is true of them too.
     #[inline(always)]
     fn surrogate(&self, parent: &At<'a>, detail: &Detail<'a>, rank: u32) -> Option<&'a Surrogate> {
         match (self, parent) {
+            (Child::Leaf, At::Head(_, head, 0)) => head.root(),
+            (Child::Leaf, At::Head(_, head, i)) => head.child(0, *i as u8 - 1),
+            (Child::Leaf, At::Page(view, index)) => view.page?.surrogates().get(*index as usize),
             (Child::At(At::Top(node)), _) => detail.top(*node),
             (Child::At(At::Head(_, head, 0)), At::Top(_)) => head.root(),
             (_, At::Head(_, head, i)) => head.child(*i as usize, rank as u8 & 7),
@@ -397,7 +410,7 @@ impl Wide {
             return if self.lifted { Verdict::Pass } else { Verdict::Enter };
         }
         let farthest = bounds.farthest_squared(self.o + t * self.d);
-        if farthest > allowed || !self.is_surface(&patch, bounds) {
+        if farthest > allowed || (farthest > allowed * (FINE * FINE) && !self.is_surface(&patch, bounds)) {
             return Verdict::Enter;
         }
         let reach = farthest.sqrt();
@@ -405,6 +418,7 @@ impl Wide {
             t: (t as f32).clamp(self.tmin as f32, self.tmax as f32),
             normal: patch.normal.to_array(),
             color: patch.color,
+            agreement: patch.agreement.max(1.0 / 256.0),
             deviation: patch.deviation * self.side,
             reach: reach * self.side,
             error: reach / width,
