@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use glam::Vec3;
+
 use crate::error::{Error, Result};
 use crate::format::{LeafUnit, PageHeader, PageId, SideArrays, pack};
 use crate::geometry::{Aabb, RootCube};
@@ -10,7 +12,7 @@ use crate::mesh::NO_INDEX;
 use super::chunk::BrickList;
 use super::options::BuildOptions;
 use super::record::Layout;
-use super::subtree::{BrickTriangle, Subtree, SubtreeOptions, TopBrick, build_subtree};
+use super::subtree::{BrickTriangle, Subtree, SubtreeOptions, TopBrick, build_subtree, surrogates};
 
 /// What all bricks of a file share.
 pub(super) struct BrickBuilder<'a> {
@@ -19,6 +21,8 @@ pub(super) struct BrickBuilder<'a> {
     pub root: RootCube,
     pub unit: LeafUnit,
     pub wide_materials: bool,
+    /// Diffuse colours by material number - 1.
+    pub colors: Vec<Vec3>,
 }
 
 /// A finished page and what the top needs to know of it.
@@ -57,7 +61,12 @@ impl BrickBuilder<'_> {
             false => Vec::new(),
         };
         let subtree = build_subtree(&triangles, &parts, cell, self.root, &self.subtree_options());
-        let side = self.side_arrays(subtree.order.iter().map(|&i| record(brick.records[i as usize])));
+        let mut side = self.side_arrays(subtree.order.iter().map(|&i| record(brick.records[i as usize])));
+        if self.options.lod {
+            let material = |i: u32| self.layout.material(record(brick.records[i as usize])).unwrap_or(0);
+            let color = |i: u32| self.colors.get((material(i) as usize).wrapping_sub(1)).copied().unwrap_or(Vec3::ONE);
+            side.surrogates = surrogates(&subtree, &triangles, self.root, self.unit, color);
+        }
         let Subtree { nodes, leaf_bytes, leaves, order, corner, unit, depth, bounds_root } = subtree;
         let references = order.len() as u32;
         let bytes = PageHeader::layout(page, &nodes, &leaf_bytes, leaves, references, &side, self.wide_materials);

@@ -2,6 +2,8 @@
 
 use std::path::{Component, Path, PathBuf};
 
+use glam::Vec3;
+
 use crate::format::MaterialRecord;
 use crate::mesh::MaterialInfo;
 
@@ -28,6 +30,14 @@ pub(super) fn materials(materials: &[MaterialInfo], folder: &Path) -> (Vec<Mater
     };
     let records = materials.iter().map(record).collect();
     (records, strings)
+}
+
+/// The diffuse colour of a material without its texture, as a picture shows it where the mesh's own materials are taken.
+pub(super) fn diffuse(material: &MaterialInfo) -> Vec3 {
+    let textured = material.map_kd.is_some();
+    let given = material.kd.filter(|kd| !textured || *kd != [0.0; 3]);
+    let clean = |x: f32| if x.is_finite() { x.clamp(0.0, 1.0) } else { 0.0 };
+    given.map_or(Vec3::ONE, |kd| Vec3::from_array(kd.map(clean)))
 }
 
 /// Bit i is set if the i-th value is given; FORMAT.md, "Material".

@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::event::Monitor;
-use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, Points, SplitMode, Top};
+use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, Points, SplitMode, Surrogate, Top};
 use crate::mesh::TriangleSource;
 
 use super::brick::{BrickBuilder, BuiltBrick};
@@ -16,13 +16,13 @@ use super::chunk::{BrickList, BrickRule, bricks};
 use super::distribute::{Chunk, Extent, Records, Sorting};
 use super::early::Early;
 use super::grid::{CellCode, Grid, Placement, Unit};
-use super::materials::materials;
+use super::materials::{diffuse, materials};
 use super::options::{BuildOptions, Tuning, alone_bytes};
 use super::phases::Phases;
 use super::record::Layout;
 use super::report::BuildReport;
 use super::spool::Spool;
-use super::subtree::{Cell, TopBrick, build_top, top_levels};
+use super::subtree::{Cell, TopBrick, build_top, top_levels, top_surrogates};
 use super::triangles::{Mesh, Stage, Triangles, read, taken_up};
 use super::work::WorkFolder;
 
@@ -77,7 +77,7 @@ pub(super) fn build_tuned(
 }
 
 /// Bytes held of each page until the end, its share of the top tree included.
-const PAGE_BYTES: u64 = 320;
+const PAGE_BYTES: u64 = 400;
 
 /// A file being built, from the join on.
 struct Build<'a> {
@@ -117,6 +117,7 @@ impl<'a> Build<'a> {
                 root,
                 unit: if shares_few { LeafUnit::B32 } else { LeafUnit::B16 },
                 wide_materials: mesh.materials.len() > usize::from(u16::MAX),
+                colors: mesh.materials.iter().map(diffuse).collect(),
             },
             rule: BrickRule { placement, limit: options.brick_limit(tally.kept, layout), depth: options.depth.into() },
             report: BuildReport {
@@ -445,7 +446,10 @@ impl<'a> Build<'a> {
         let header = self.header(&nodes, materials.len());
         (self.report.nodes, self.report.depth) = (header.nodes, header.depth);
         self.report.pages = self.records.len() as u32;
-        let top = Top { nodes: &nodes, bricks: &mut self.records, materials: &materials, strings: &strings };
+        let tops = &self.tops;
+        let surrogates = &mut |bricks: &[Brick], roots: &[Surrogate]| top_surrogates(&nodes, tops, bricks, roots);
+        let bricks = &mut self.records;
+        let top = Top { nodes: &nodes, bricks, materials: &materials, strings: &strings, surrogates };
         self.report.bytes = self.writer.finish(header, top)?;
         self.report.bytes_per_triangle = self.report.bytes as f64 / self.report.triangles as f64;
         Ok(self.report)
@@ -498,6 +502,7 @@ impl<'a> Build<'a> {
             self.attributes
                 | flag(Flags::PACKED, self.options.compress.is_some())
                 | flag(Flags::IDS, self.options.ids)
+                | flag(Flags::DETAIL, self.options.lod)
                 | flag(Flags::MATERIALS, self.layout.materials)
                 | flag(Flags::WIDE_MATERIALS, self.layout.materials && self.bricks.wide_materials)
                 | flag(Flags::STEPS, self.options.positions.points() == Points::Steps)

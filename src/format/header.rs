@@ -47,8 +47,11 @@ impl Flags {
     /// Leaves may hold their vertices as steps.
     pub const STEPS: u32 = 256;
 
+    /// Nodes have surrogates.
+    pub const DETAIL: u32 = 512;
+
     /// All flags that version 1 knows.
-    pub const KNOWN: u32 = 511;
+    pub const KNOWN: u32 = 1023;
 
     /// The unit of leaf offsets that the flags name.
     pub fn leaf_unit(self) -> super::LeafUnit {
@@ -80,6 +83,17 @@ pub enum SectionKind {
     Materials = 4,
     /// String bytes.
     Strings = 5,
+    /// Heads of bricks: copies of their uppermost nodes, and surrogates.
+    Heads = 6,
+    /// Where the heads lie.
+    HeadPlaces = 7,
+    /// Surrogates of the top nodes.
+    TopSurrogates = 8,
+}
+
+impl SectionKind {
+    /// How many kinds there are.
+    pub const COUNT: usize = 8;
 }
 
 /// An entry of the section directory.

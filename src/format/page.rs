@@ -2,6 +2,8 @@
 
 use bytemuck::{Pod, Zeroable};
 
+use super::Surrogate;
+
 /// The number of a page, which is the number of its brick.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PageId(pub u32);
@@ -70,8 +72,10 @@ pub struct PageHeader {
     pub texcoords: u32,
     /// Texture coordinates in it.
     pub texcoord_count: u32,
+    /// Offset of surrogates, 0 = none.
+    pub surrogates: u32,
     /// Zero.
-    pub zero: [u32; 2],
+    pub zero: u32,
 }
 
 /// Bytes of the header of a page; the nodes follow.
@@ -92,7 +96,7 @@ const _: () = assert!(size_of::<Brick>() == 32);
 const _: () = assert!(size_of::<PageRecord>() == 32);
 const _: () = assert!(size_of::<PageHeader>() == 64);
 
-/// The side arrays of a page, one entry a reference, before they are laid out.
+/// The side arrays of a page, one entry a reference (but for the tables and surrogates), before they are laid out.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SideArrays {
     /// Face ids; empty = none.
@@ -107,6 +111,8 @@ pub struct SideArrays {
     pub texcoord_corners: Vec<[u32; 3]>,
     /// Texture coordinate table.
     pub texcoords: Vec<[f32; 2]>,
+    /// Surrogates, one a node; empty = none.
+    pub surrogates: Vec<Surrogate>,
 }
 
 impl PageHeader {
@@ -126,13 +132,14 @@ impl PageHeader {
         texcoord_corners: 0,
         texcoords: 0,
         texcoord_count: 0,
-        zero: [0; 2],
+        surrogates: 0,
+        zero: 0,
     };
 
     /// Lays out a whole page: header, nodes, leaves, padding, side arrays. The result's length is a multiple of 64.
     ///
     /// `leaf_bytes` are the encoded leaves; `wide_materials` as in [`super::Flags::WIDE_MATERIALS`]. `None` when the
-    /// page would pass 2^32 bytes, a side array does not have `references` entries, or a material number does not fit.
+    /// page would pass 2^32 bytes, a side array does not have `references` entries (or `nodes`), or a material number does not fit.
     pub fn layout(
         page: PageId,
         nodes: &[super::Node],
@@ -144,7 +151,8 @@ impl PageHeader {
     ) -> Option<Vec<u8>> {
         let count = references as usize;
         let lengths = [side.ids.len(), side.materials.len(), side.normal_corners.len(), side.texcoord_corners.len()];
-        if lengths.iter().any(|&n| n != 0 && n != count) {
+        let surrogates = side.surrogates.len();
+        if lengths.iter().any(|&n| n != 0 && n != count) || (surrogates != 0 && surrogates != nodes.len()) {
             return None;
         }
         let narrow: Vec<u16> = match wide_materials {
@@ -176,6 +184,7 @@ impl PageHeader {
         header.normals = append(&mut out, bytemuck::cast_slice(&side.normals))?;
         header.texcoord_corners = append(&mut out, bytemuck::cast_slice(&side.texcoord_corners))?;
         header.texcoords = append(&mut out, bytemuck::cast_slice(&side.texcoords))?;
+        header.surrogates = append(&mut out, bytemuck::cast_slice(&side.surrogates))?;
         out.resize(out.len().next_multiple_of(64), 0);
         u32::try_from(out.len()).ok()?;
         out[..PAGE_HEADER_BYTES].copy_from_slice(bytemuck::bytes_of(&header));

@@ -2,7 +2,7 @@
 
 use std::mem::offset_of;
 
-use super::{Brick, Header, MaterialRecord, Node, PageHeader, PageRecord};
+use super::{Brick, Header, MaterialRecord, Node, PageHeader, PageRecord, Surrogate};
 
 /// The rows of the first table below a heading: the byte offsets of the first column, and the words of the last.
 fn rows(heading: &str) -> Vec<(Vec<usize>, String)> {
@@ -116,6 +116,23 @@ fn records() {
 }
 
 #[test]
+fn surrogate() {
+    compare(
+        "Surrogate",
+        &[
+            (offset_of!(Surrogate, normal), "normal"),
+            (offset_of!(Surrogate, offset), "plane"),
+            (offset_of!(Surrogate, deviation), "deviation"),
+            (offset_of!(Surrogate, cone), "cone"),
+            (offset_of!(Surrogate, coverage), "coverage"),
+            (offset_of!(Surrogate, agreement), "agreement"),
+            (offset_of!(Surrogate, color), "colour"),
+            (offset_of!(Surrogate, zero), "zero"),
+        ],
+    );
+}
+
+#[test]
 fn page_and_node() {
     compare(
         "Page\n",
@@ -134,6 +151,7 @@ fn page_and_node() {
             (offset_of!(PageHeader, texcoord_corners), "texture corners"),
             (offset_of!(PageHeader, texcoords), "texture coordinate table"),
             (offset_of!(PageHeader, texcoord_count), "texture coordinates"),
+            (offset_of!(PageHeader, surrogates), "surrogates"),
             (offset_of!(PageHeader, zero), "zero"),
         ],
     );

@@ -45,7 +45,7 @@ fn read_header(bytes: &[u8], id: PageId, record: &PageRecord, unit: LeafUnit) ->
     let rules = [
         (bytes.len() as u64 == u64::from(record.bytes), "its length is not that of its record"),
         (h.page == id.0, "it bears another page's number"),
-        (h.zero == [0; 2], "unused bytes of its header are not zero"),
+        (h.zero == 0, "unused bytes of its header are not zero"),
         (h.nodes >= 1 && h.leaves >= 1 && h.references >= 1, "it counts no node, leaf or reference"),
         (h.references == record.references, "its references are not as many as its record says"),
         (u64::from(h.leaf_offset) == 64 + 64 * u64::from(h.nodes), "the leaves do not follow the nodes"),
@@ -78,6 +78,7 @@ fn check_layout(bytes: &[u8], h: &PageHeader, flags: Flags) -> Result<(), String
             8 * u64::from(h.texcoord_count),
             table(h.texcoord_corners, h.texcoord_count),
         ),
+        ("surrogates", h.surrogates, 16 * u64::from(h.nodes), exactly(Flags::DETAIL)),
     ];
     let mut end = h.leaf_end();
     let mut next = end + LEAF_PADDING as u64;
@@ -285,6 +286,10 @@ fn check_side_values(bytes: &[u8], h: &PageHeader, flags: Flags, materials: u32,
     };
     if !known {
         return Err("a material number names no material".into());
+    }
+    let surrogates = h.surrogates as usize..h.surrogates as usize + 16 * h.nodes as usize;
+    if h.surrogates != 0 && !bytes[surrogates].chunks_exact(16).all(|surrogate| surrogate[15] == 0) {
+        return Err("the unused byte of a surrogate is not zero".into());
     }
     let indices = [("normal", h.normal_corners, h.normal_count), ("texture", h.texcoord_corners, h.texcoord_count)];
     for (name, offset, limit) in indices {

@@ -154,7 +154,8 @@ fn check_directory(h: &Header) -> Result<(), String> {
 
 impl Header {
     /// The sections a file with these counts has, in order, with their lengths where the counts give them.
-    fn wanted_sections(&self) -> [Option<(SectionKind, Option<u64>)>; 5] {
+    fn wanted_sections(&self) -> [Option<(SectionKind, Option<u64>)>; SectionKind::COUNT] {
+        let detail = self.flags.has(Flags::DETAIL);
         let (tops, pages, materials) = (u64::from(self.top_nodes), u64::from(self.pages), u64::from(self.materials));
         [
             (tops > 0).then_some((SectionKind::TopNodes, Some(64 * tops))),
@@ -162,6 +163,9 @@ impl Header {
             Some((SectionKind::Pages, Some(32 * pages))),
             (materials > 0).then_some((SectionKind::Materials, Some(80 * materials))),
             (materials > 0).then_some((SectionKind::Strings, None)),
+            detail.then_some((SectionKind::Heads, None)),
+            detail.then_some((SectionKind::HeadPlaces, Some(4 * pages))),
+            (detail && tops > 0).then_some((SectionKind::TopSurrogates, Some(16 * tops))),
         ]
     }
 

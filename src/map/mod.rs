@@ -10,6 +10,7 @@
 //! reads as zeros from there on (`mmap.rs`), and [`Octree::fault`] says so: ask it before trusting what was read.
 
 mod cache;
+mod detail;
 mod mapped;
 mod mmap;
 mod page;
@@ -24,6 +25,7 @@ mod visit;
 use std::fs::File;
 use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use glam::{DVec3, Vec3};
 
@@ -38,6 +40,7 @@ use mapped::Mapped;
 use mmap::Mapping;
 
 pub(crate) use cache::Ticket;
+pub use detail::Detail;
 pub use page::Page;
 pub use survey::Parts;
 pub use visit::{Halt, Visit};
@@ -84,9 +87,13 @@ pub struct Octree {
     path: PathBuf,
     header: Header,
     /// Where the sections lie, by kind - 1, in the map or in `top`; empty for those the file has not.
-    sections: [Range<usize>; 5],
-    /// What follows the pages; empty for a mapped file.
+    sections: [Range<usize>; SectionKind::COUNT],
+    /// Whether what is for level of detail is sound, once that was asked.
+    detail: OnceLock<Result<(), String>>,
+    /// What follows the pages, but for level of detail; empty for a mapped file.
     top: Box<[Node]>,
+    /// The sections for level of detail, once they were used; never for a mapped file.
+    heads: OnceLock<Box<[Node]>>,
     pages: Pages,
 }
 
@@ -144,9 +151,11 @@ impl Octree {
             return Err(Error::Input { file: path.to_owned(), what: what.into() });
         }
         let map = Mapping::new(file).map_err(Error::io(path, "map"))?;
-        let sections = section_ranges(&header, map.bytes(), 0).map_err(|what| Error::damaged(path, None, what))?;
+        let sections =
+            section_ranges(&header, map.bytes(), 0, None).map_err(|what| Error::damaged(path, None, what))?;
         let pages = Pages::Mapped(Mapped::new(map, header.pages));
-        let octree = Octree { path: path.to_owned(), header, sections, top: Box::default(), pages };
+        let (top, heads, detail) = (Box::default(), OnceLock::new(), OnceLock::new());
+        let octree = Octree { path: path.to_owned(), header, sections, detail, top, heads, pages };
         validate_top(&octree.header, &octree.top()).map_err(|what| octree.damaged(None, what))?;
         Ok(octree)
     }
@@ -159,7 +168,8 @@ impl Octree {
             return Err(Error::Input { file: path.to_owned(), what });
         }
         let begin = header.sections[0].offset;
-        let bytes = (header.file_bytes - begin) as usize;
+        let heads = heads_at(&header);
+        let bytes = (heads.unwrap_or(header.file_bytes) - begin) as usize;
         let mut top = vec![Node::EMPTY; bytes.div_ceil(size_of::<Node>())].into_boxed_slice();
         let damaged = |what: String| Error::damaged(path, None, what);
         cache::read_at(&file, &mut bytemuck::cast_slice_mut(&mut top)[..bytes], begin).map_err(|error| match error
@@ -168,13 +178,14 @@ impl Octree {
             std::io::ErrorKind::UnexpectedEof => damaged("cut short while in use".into()),
             _ => Error::io(path, "read")(error),
         })?;
-        let sections = section_ranges(&header, bytemuck::cast_slice(&top), begin).map_err(damaged)?;
+        let sections = section_ranges(&header, bytemuck::cast_slice(&top), begin, heads).map_err(damaged)?;
         let view = top_view(&sections, bytemuck::cast_slice(&top));
         validate_top(&header, &view).map_err(damaged)?;
         let records = view.records;
         let cache = Cache::new(path.to_owned(), file, &header, records, budget);
         let pages = Pages::Cached(cache.map_err(Error::io(path, "make room for the pages of"))?);
-        Ok(Octree { path: path.to_owned(), header, sections, top, pages })
+        let (heads, detail) = (OnceLock::new(), OnceLock::new());
+        Ok(Octree { path: path.to_owned(), header, sections, detail, top, heads, pages })
     }
 
     /// Lets pages take so many bytes of memory from now on, at least what [`Octree::least_cache`] says. Nothing for a mapped file.
@@ -334,6 +345,24 @@ impl Octree {
         cut(&self.sections, bytes, kind)
     }
 
+    /// What the ranges of the sections for level of detail count from; read from the file when it is first used, unless that is mapped.
+    fn heads_bytes(&self) -> Result<&[u8]> {
+        let cache = match &self.pages {
+            Pages::Mapped(mapped) => return Ok(mapped.map.bytes()),
+            Pages::Cached(cache) => cache,
+        };
+        if let Some(heads) = self.heads.get() {
+            return Ok(bytemuck::cast_slice(heads));
+        }
+        let begin = heads_at(&self.header).unwrap_or(self.header.file_bytes);
+        let bytes = (self.header.file_bytes - begin) as usize;
+        let mut heads = vec![Node::EMPTY; bytes.div_ceil(size_of::<Node>())].into_boxed_slice();
+        cache
+            .read_at(&mut bytemuck::cast_slice_mut(&mut heads)[..bytes], begin)
+            .map_err(Error::io(&self.path, "read"))?;
+        Ok(bytemuck::cast_slice(self.heads.get_or_init(|| heads)))
+    }
+
     /// The bytes from one place of the file to another, of no page.
     fn gap(&self, range: Range<u64>) -> Result<Vec<u8>> {
         match &self.pages {
@@ -386,20 +415,36 @@ fn head(path: &Path) -> Result<(File, Header)> {
     Ok((file, header))
 }
 
+/// Where the sections for level of detail begin, if there are any: after all others.
+fn heads_at(header: &Header) -> Option<u64> {
+    header.sections.iter().filter(|s| s.kind >= SectionKind::Heads as u32).map(|s| s.offset).min()
+}
+
 /// Bytes of memory that one page takes at most.
 fn least_cache(header: &Header) -> u64 {
     u64::from(header.largest_page).next_multiple_of(mmap::machine_page() as u64)
 }
 
-/// Where the sections lie in `bytes`, which begin at byte `begin` of the file, by kind - 1; their checksums verified.
-fn section_ranges(header: &Header, bytes: &[u8], begin: u64) -> Result<[Range<usize>; 5], String> {
-    let mut ranges = [const { 0..0 }; 5];
+/// Where the sections lie, by kind - 1, in `bytes`, which begin at byte `begin` of the file; the checksums of those that are always used
+/// verified. What is for level of detail is checked when it is first used; if it is read by itself, from byte `heads` on, that is what its ranges
+/// count from.
+fn section_ranges(
+    header: &Header,
+    bytes: &[u8],
+    begin: u64,
+    heads: Option<u64>,
+) -> Result<[Range<usize>; SectionKind::COUNT], String> {
+    let mut ranges = [const { 0..0 }; SectionKind::COUNT];
     for section in header.sections.iter().filter(|s| s.kind != 0) {
-        let start = section.offset.checked_sub(begin).ok_or("a section lies before the first")? as usize;
+        let late = section.kind >= SectionKind::Heads as u32;
+        let from = heads.filter(|_| late).unwrap_or(begin);
+        let start = section.offset.checked_sub(from).ok_or("a section lies before the first")? as usize;
         let range = start..start + section.bytes as usize;
-        let bytes = bytes.get(range.clone()).ok_or("a section reaches beyond the end of the file")?;
-        if checksum(bytes) != section.checksum {
-            return Err(format!("the checksum of section {} is wrong", section.kind));
+        if !(late && heads.is_some()) {
+            let bytes = bytes.get(range.clone()).ok_or("a section reaches beyond the end of the file")?;
+            if !late && checksum(bytes) != section.checksum {
+                return Err(format!("the checksum of section {} is wrong", section.kind));
+            }
         }
         ranges[section.kind as usize - 1] = range;
     }
@@ -408,12 +453,16 @@ fn section_ranges(header: &Header, bytes: &[u8], begin: u64) -> Result<[Range<us
 
 /// A section's records.
 #[inline]
-fn cut<'a, T: bytemuck::Pod>(sections: &[Range<usize>; 5], bytes: &'a [u8], kind: SectionKind) -> &'a [T] {
+fn cut<'a, T: bytemuck::Pod>(
+    sections: &[Range<usize>; SectionKind::COUNT],
+    bytes: &'a [u8],
+    kind: SectionKind,
+) -> &'a [T] {
     bytemuck::try_cast_slice(&bytes[sections[kind as usize - 1].clone()]).unwrap_or(&[])
 }
 
 /// The whole top, in `bytes`.
-fn top_view<'a>(sections: &[Range<usize>; 5], bytes: &'a [u8]) -> TopView<'a> {
+fn top_view<'a>(sections: &[Range<usize>; SectionKind::COUNT], bytes: &'a [u8]) -> TopView<'a> {
     TopView {
         nodes: cut(sections, bytes, SectionKind::TopNodes),
         bricks: cut(sections, bytes, SectionKind::Bricks),

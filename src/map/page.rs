@@ -4,7 +4,7 @@
 //! but through safe code: where a mapped file is cut short its bytes turn to zeros, and then these functions give empty
 //! nodes and leaves, no face and no material, and never panic. [`super::Octree::fault`] tells.
 
-use crate::format::{Brick, Flags, Leaf, Node, PAGE_HEADER_BYTES, PageHeader};
+use crate::format::{Brick, Flags, Leaf, Node, PAGE_HEADER_BYTES, PageHeader, Surrogate};
 use crate::geometry::FaceId;
 
 /// A page, checked and resident while this value lives.
@@ -86,6 +86,17 @@ impl<'a> Page<'a> {
     pub fn texcoords(&self, reference: u32) -> Option<[[f32; 2]; 3]> {
         let h = self.header();
         self.corners(h.texcoord_corners, h.texcoords, h.texcoord_count, reference)
+    }
+
+    /// The surrogates, one a node; none where the file has no level of detail.
+    #[inline]
+    pub fn surrogates(&self) -> &'a [Surrogate] {
+        let h = self.header();
+        if h.surrogates == 0 {
+            &[]
+        } else {
+            self.array(h.surrogates as usize, size_of::<Surrogate>() * h.nodes as usize)
+        }
     }
 
     /// The entries of a table that a reference's three corners name.

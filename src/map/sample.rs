@@ -8,8 +8,8 @@ use std::path::Path;
 use glam::{DVec3, Vec3};
 
 use crate::format::{
-    Brick, Flags, Frame, Header, LeafUnit, MaterialRecord, Node, OctWriter, PageHeader, PageId, SideArrays, Slot, Top,
-    encode_leaf,
+    Brick, Flags, Frame, Header, LeafUnit, MaterialRecord, Node, OctWriter, PageHeader, PageId, SideArrays, Slot,
+    Surrogate, Top, encode_leaf,
 };
 use crate::geometry::{Aabb, RootCube, Triangle};
 
@@ -23,6 +23,18 @@ pub(crate) struct Sample {
 
 /// Number of materials where the flags ask for them.
 pub(crate) const MATERIALS: u32 = 3;
+
+/// A surrogate of which everything is true: its slab is wider than any frame, its cone has all directions.
+const ANYTHING: Surrogate = Surrogate {
+    normal: [0, 0],
+    offset: 64 * 128,
+    deviation: 255,
+    cone: 1,
+    coverage: [255; 3],
+    agreement: 0,
+    color: [255; 3],
+    zero: 0,
+};
 
 /// A cheap sequence of numbers that look random.
 pub(crate) fn random(state: &mut u64) -> u64 {
@@ -111,7 +123,11 @@ impl Sample {
             }
             let tree = Tree::build(self, root, frame, numbers);
             let id = PageId(brick as u32);
-            let page = tree.layout(id, &self.side_arrays(&tree.order), self.flags);
+            let mut side = self.side_arrays(&tree.order);
+            if self.flags.has(Flags::DETAIL) {
+                side.surrogates = vec![ANYTHING; tree.nodes.len()];
+            }
+            let page = tree.layout(id, &side, self.flags);
             writer.append(&page).unwrap();
             bricks.push(Brick {
                 node: 0,
@@ -142,7 +158,13 @@ impl Sample {
             depth_limit: 21,
             ..bytemuck::Zeroable::zeroed()
         };
-        let top = Top { nodes: tops, bricks: &mut bricks, materials: &materials, strings: strings.as_bytes() };
+        let top = Top {
+            nodes: tops,
+            bricks: &mut bricks,
+            materials: &materials,
+            strings: strings.as_bytes(),
+            surrogates: &mut |_, _| vec![ANYTHING],
+        };
         writer.finish(header, top).unwrap()
     }
 

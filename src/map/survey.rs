@@ -3,7 +3,7 @@
 use super::{Octree, Page};
 use crate::error::Result;
 use crate::event::Monitor;
-use crate::format::{Flags, LEAF_MAX, Leaf, PAGE_HEADER_BYTES, PageId, Points};
+use crate::format::{Flags, LEAF_MAX, Leaf, PAGE_HEADER_BYTES, PageId, Points, SectionKind};
 
 /// Bytes of a file by what they are; they add up to the file's length, or, for a packed file, to what it would be unpacked, without
 /// the zeros between pages.
@@ -31,6 +31,8 @@ pub struct Parts {
     pub normals: u64,
     /// Texture coordinates and their corners.
     pub texcoords: u64,
+    /// Surrogates and heads, for level of detail.
+    pub detail: u64,
     /// Zeros, anywhere.
     pub padding: u64,
     /// How many leaves have i triangles, at place i.
@@ -44,7 +46,8 @@ impl Octree {
         let sections = self.header.sections.iter().filter(|s| s.kind != 0);
         let mut parts = Parts {
             header: crate::format::HEADER_BYTES as u64,
-            top: sections.map(|s| s.bytes).sum(),
+            top: sections.clone().filter(|s| s.kind < SectionKind::Heads as u32).map(|s| s.bytes).sum(),
+            detail: sections.filter(|s| s.kind >= SectionKind::Heads as u32).map(|s| s.bytes).sum(),
             ..Parts::default()
         };
         for i in 0..self.header.pages {
@@ -62,7 +65,7 @@ impl Parts {
     /// All but the padding.
     fn known(&self) -> u64 {
         let pages = self.page_headers + self.nodes + self.leaf_corners + self.leaf_vertices;
-        self.header + self.top + pages + self.ids + self.materials + self.normals + self.texcoords
+        self.header + self.top + pages + self.ids + self.materials + self.normals + self.texcoords + self.detail
     }
 
     fn add_page(&mut self, octree: &Octree, page: &Page<'_>) {
@@ -75,6 +78,7 @@ impl Parts {
         self.materials += there(h.materials, if octree.flags().has(Flags::WIDE_MATERIALS) { 4 } else { 2 });
         self.normals += there(h.normal_corners, 12) + 12 * u64::from(h.normal_count);
         self.texcoords += there(h.texcoord_corners, 12) + 8 * u64::from(h.texcoord_count);
+        self.detail += size_of_val(page.surrogates()) as u64;
         for leaf in leaves(octree, page) {
             self.leaf_corners += leaf.vertices_at() as u64;
             self.leaf_vertices += (leaf.end() - leaf.vertices_at()) as u64;

@@ -8,10 +8,10 @@ use super::*;
 use crate::error::Kind;
 use crate::event::Monitor;
 use crate::format::validate_page;
-use crate::format::{PAGE_HEADER_BYTES, Slot};
+use crate::format::{PAGE_HEADER_BYTES, PageHeader, Slot};
 use crate::geometry::{FaceId, Triangle};
 
-const ALL: u32 = Flags::IDS | Flags::MATERIALS | Flags::NORMALS | Flags::TEXCOORDS;
+const ALL: u32 = Flags::IDS | Flags::MATERIALS | Flags::NORMALS | Flags::TEXCOORDS | Flags::DETAIL;
 
 /// A folder that goes away, and a file in it.
 fn scratch() -> (tempfile::TempDir, PathBuf) {
@@ -247,7 +247,7 @@ fn no_page_makes_a_reader_panic() {
             visit(&page, octree.leaf_unit(), |reference, triangle| {
                 count += 1;
                 let (face, material) = (page.face(reference), page.material(reference));
-                let _ = (page.normals(reference), page.texcoords(reference));
+                let _ = (page.normals(reference), page.texcoords(reference), page.surrogates());
                 assert!(checked.is_err() || (face.0 < 72 && material <= MATERIALS && triangle.is_finite()));
             });
             assert!(checked.is_err() || count == record.references);
@@ -292,6 +292,8 @@ fn validation_names_the_broken_rule() {
         (h.materials as usize, &[4], "names no material"),
         (h.normal_corners as usize, &h.normal_count.to_le_bytes(), "a normal corner"),
         (h.texcoord_corners as usize, &h.texcoord_count.to_le_bytes(), "a texture corner"),
+        (56, &[0, 0, 0, 0], "surrogates are missing"),
+        (h.surrogates as usize + 31, &[1], "unused byte of a surrogate"),
     ] {
         let said = complaint(place, value);
         assert!(said.contains(what), "byte {place}: {said:?}, not {what:?}");
@@ -347,6 +349,52 @@ fn geometry_outside_its_box_is_found() {
     fs::write(&path, &bytes).unwrap();
     let error = fate(&path).unwrap().to_string();
     assert!(error.contains("page 1: node 0, slot 2: a triangle lies outside"), "{error}");
+}
+
+/// Changes a byte of page 1 that lies so far behind `part`, and puts all checksums right; what is said then.
+fn lie_in_a_page(part: impl Fn(&PageHeader) -> u32, behind: usize, value: u8) -> String {
+    let (_folder, path) = scratch();
+    Sample::new(60, ALL, 2).write(&path);
+    let mut bytes = fs::read(&path).unwrap();
+    let header: Header = bytemuck::pod_read_unaligned(&bytes[..4096]);
+    let place = header.section(SectionKind::Pages).unwrap().offset as usize + 32;
+    let mut record: PageRecord = bytemuck::pod_read_unaligned(&bytes[place..place + 32]);
+    let page = record.offset as usize;
+    let begin = part(&bytemuck::pod_read_unaligned(&bytes[page..page + 64])) as usize;
+    bytes[page + begin + behind] = value;
+    record.checksum = checksum(&bytes[page..][..record.bytes as usize]);
+    bytes[place..place + 32].copy_from_slice(bytemuck::bytes_of(&record));
+    repair(&mut bytes);
+    fs::write(&path, &bytes).unwrap();
+    fate(&path).unwrap().to_string()
+}
+
+#[test]
+fn lies_about_level_of_detail_are_found() {
+    // The color of the root, which its head has otherwise; then a plane at the very corner with all of the brick far from it.
+    let said = lie_in_a_page(|h| h.surrogates, 12, 7);
+    assert!(said.contains("page 1: its head is not what the page has"), "{said}");
+    let (_folder, path) = scratch();
+    Sample::new(600, ALL, 2).write(&path);
+    let octree = Octree::open(&path).unwrap();
+    let visited = octree.visit();
+    let (page, detail) = (visited.page(PageId(1)).unwrap(), octree.detail().unwrap().unwrap());
+    let head = detail.head(PageId(1)).unwrap();
+    assert_eq!((head.nodes().len(), head.surrogates().len()), (9, 9), "{:?}", page.header());
+    assert!(detail.top(0).is_some() && detail.top(1).is_none() && detail.head(PageId(2)).is_none());
+    // Beyond the head: a slab as thin as a step.
+    assert!(page.surrogates().len() >= 9);
+    let said = lie_in_a_page(|h| h.surrogates, 6, 0);
+    assert!(said.contains("page 1: "), "{said}");
+}
+
+#[test]
+fn files_without_level_of_detail_say_so() {
+    let (_folder, path) = scratch();
+    Sample::new(60, ALL & !Flags::DETAIL, 2).write(&path);
+    let octree = Octree::open(&path).unwrap();
+    assert!(octree.detail().unwrap().is_none() && octree.detail_bytes() == 0);
+    assert!(octree.visit().page(PageId(0)).unwrap().surrogates().is_empty());
 }
 
 #[test]

@@ -48,6 +48,7 @@ impl Octree {
     pub fn verify(&self, monitor: Monitor<'_>) -> Result<()> {
         monitor.phase("verify");
         self.check_gaps()?;
+        self.check_detail()?;
         let entries = self.brick_entries();
         let pages = self.header.pages as usize;
         let mut faces = Faces::new(self);
@@ -141,6 +142,7 @@ impl Octree {
             Ok(())
         })
         .map_err(|what| self.damaged(Some(i as u32), what))?;
+        self.check_surrogates(i, page)?;
         Ok(facts)
     }
 
@@ -204,7 +206,7 @@ impl Cell {
 }
 
 /// The frame of a brick's root.
-fn brick_frame(brick: &crate::format::Brick) -> Frame {
+pub(super) fn brick_frame(brick: &crate::format::Brick) -> Frame {
     Frame { corner: brick.corner.map(f64::from), unit: brick.unit.map(f64::from) }
 }
 

@@ -23,6 +23,8 @@ pub struct Eye {
     column: DVec3,
     /// Left edge divided by rows.
     row: DVec3,
+    /// Unit normal of the image plane.
+    ahead: DVec3,
 }
 
 impl Eye {
@@ -38,7 +40,9 @@ impl Eye {
             Camera::Frame(direction) => frame(bounds, direction, aspect),
             Camera::Auto => frame(bounds, LOOK, aspect),
         };
-        let ready = Eye { eye, corner: origin - eye, column: horiz / f64::from(width), row: vert / f64::from(height) };
+        let (column, row) = (horiz / f64::from(width), vert / f64::from(height));
+        let ahead = horiz.cross(vert).normalize_or_zero();
+        let ready = Eye { eye, corner: origin - eye, column, row, ahead };
         let middle = ready.corner + (horiz + vert) * 0.5;
         let all = [eye, ready.corner, horiz, vert];
         if !all.iter().all(|v| v.is_finite()) || middle == DVec3::ZERO || horiz.cross(vert) == DVec3::ZERO {
@@ -51,7 +55,12 @@ impl Eye {
 
     /// The ray through (x, y) in pixels from the bottom-left corner.
     pub fn ray(&self, x: f64, y: f64) -> WorldRay {
-        WorldRay::new(self.eye, self.corner + self.column * x + self.row * y)
+        let direction = self.corner + self.column * x + self.row * y;
+        // At distance s a pixel's side is s / |direction| times its side on the image plane. A shift across the ray by the cosine of the angle to the axis
+        // times that much moves its image by up to one pixel.
+        let side = self.column.length().min(self.row.length());
+        let slope = side * self.ahead.dot(direction).abs() / direction.length_squared();
+        WorldRay::new(self.eye, direction).widening(slope)
     }
 }
 

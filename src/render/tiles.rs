@@ -12,7 +12,7 @@ use super::{hilbert, sampling};
 use crate::error::{Error, Result};
 use crate::event::Monitor;
 use crate::scene::Scene;
-use crate::shade::{RayCounts, Wave, World, WorldRay};
+use crate::shade::{DetailCounts, RayCounts, Wave, World, WorldRay};
 
 /// Most pixels on a side.
 const MOST_SIDE: u32 = 65_536;
@@ -59,6 +59,8 @@ pub struct Picture {
 pub struct Statistics {
     /// Rays traced, by purpose.
     pub rays: RayCounts,
+    /// Surrogates taken for hits.
+    pub detail: DetailCounts,
     /// Seconds in [`render`].
     pub seconds: f64,
     /// Of these, seconds in which tiles were traced and shaded.
@@ -170,7 +172,7 @@ impl<'w> Job<'w> {
             let Some(&[i, j]) = order.get(shared.next.fetch_add(1, Ordering::Relaxed)) else { return };
             let (x0, y0) = (i * tile, j * tile);
             let (x1, y1) = (x0.saturating_add(tile).min(self.width), y0.saturating_add(tile).min(self.height));
-            desk.wave.counts = RayCounts::default();
+            (desk.wave.counts, desk.wave.detail) = (RayCounts::default(), DetailCounts::default());
             let stopped = || monitor.stopped() || shared.stop.load(Ordering::Relaxed);
             let done = self.tile([x0, y0, x1, y1], &mut desk, &stopped);
             let done = self.world.fault().and(done);
@@ -181,6 +183,7 @@ impl<'w> Job<'w> {
                     let rows = desk.pixels.chunks((x1 - x0) as usize);
                     rows.zip(y0..).for_each(|(row, y)| state.film.put(x0, y, row));
                     state.statistics.rays += desk.wave.counts;
+                    state.statistics.detail += desk.wave.detail;
                     state.statistics.tiles += 1;
                     monitor.progress(state.statistics.tiles, Some(order.len() as u64), "tiles");
                 }

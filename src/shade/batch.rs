@@ -8,7 +8,7 @@ use super::ray::{Omit, WorldRay};
 use super::world::World;
 use crate::error::Result;
 use crate::geometry::{Ray, Skip};
-use crate::trace::{Counters, Found};
+use crate::trace::{Counters, Footprint, Found, Met};
 
 /// Hits nothing.
 const NO_RAY: Ray = Ray { origin: [0.0; 3], direction: [0.0; 3], tmin: 0.0, tmax: 0.0 };
@@ -19,6 +19,8 @@ pub(super) struct Batch {
     rays: Vec<Ray>,
     skips: Vec<Skip>,
     found: Vec<Option<Found>>,
+    footprints: Vec<Footprint>,
+    met: Vec<Met>,
     blocked: Vec<bool>,
     /// Which of the world's rays each is.
     places: Vec<u32>,
@@ -107,16 +109,35 @@ impl World {
         contacts: &mut [Option<Contact>],
         batch: &mut Batch,
     ) -> Result<()> {
-        let Batch { rays: seen, skips, found, counters, .. } = batch;
+        let Batch { rays: seen, skips, found, footprints, met, counters, .. } = batch;
         let to_local = placed.to_local.as_ref();
         seen.resize(rays.len(), NO_RAY);
         for ((seen, ray), best) in seen.iter_mut().zip(rays).zip(&*contacts) {
             *seen = ray.seen_by(object, to_local, best.as_ref().map_or(ray.tmax, |b| b.t));
         }
+        let mesh = &self.meshes[placed.mesh];
+        if let Some(pixels) = mesh.pixels {
+            footprints.clear();
+            footprints.extend(rays.iter().map(|ray| ray.footprint(placed)));
+            met.resize(rays.len(), Met::Nothing);
+            mesh.tracer.closest_coarse(seen, footprints, pixels, met, counters)?;
+            for (met, best) in met.iter().zip(contacts) {
+                let (t, part) = match *met {
+                    Met::Nothing => continue,
+                    Met::Triangle(found) => (found.hit.t, Part::Mesh(found)),
+                    Met::Surrogate(surrogate) => (surrogate.t, Part::Surrogate(surrogate)),
+                };
+                let contact = Contact { t, object, part };
+                if best.as_ref().is_none_or(|b| contact.before(b)) {
+                    *best = Some(contact);
+                }
+            }
+            return Ok(());
+        }
         skips.clear();
         skips.resize(rays.len(), Skip::NONE);
         found.resize(rays.len(), None);
-        self.meshes[placed.mesh].tracer.closest_each(seen, skips, found, counters)?;
+        mesh.tracer.closest_each(seen, skips, found, counters)?;
         for (found, best) in found.iter().zip(contacts) {
             let Some(found) = found else { continue };
             let contact = Contact { t: found.hit.t, object, part: Part::Mesh(*found) };
@@ -163,20 +184,26 @@ impl World {
         blocked: &mut [bool],
         batch: &mut Batch,
     ) -> Result<()> {
-        let Batch { rays: seen, skips, blocked: answers, places, counters, .. } = batch;
+        let Batch { rays: seen, skips, blocked: answers, places, footprints, counters, .. } = batch;
         seen.clear();
         skips.clear();
         places.clear();
+        footprints.clear();
+        let pixels = self.meshes[placed.mesh].pixels.filter(|_| !short);
         for (i, (ray, omit)) in rays.iter().zip(omits).enumerate().filter(|x| !blocked[x.0]) {
             seen.push(ray.seen_by(object, placed.to_local.as_ref(), ray.tmax));
             skips.push(if omit.object == object { Skip::one(omit.face) } else { Skip::NONE });
             places.push(i as u32);
+            if pixels.is_some() {
+                footprints.push(ray.footprint(placed));
+            }
         }
         answers.resize(seen.len(), false);
         let tracer = &self.meshes[placed.mesh].tracer;
-        match short {
-            true => tracer.any_short(seen, skips, answers, counters)?,
-            false => tracer.any_each(seen, skips, answers, counters)?,
+        match (pixels, short) {
+            (Some(pixels), _) => tracer.any_coarse(seen, skips, footprints, pixels, answers, counters)?,
+            (None, true) => tracer.any_short(seen, skips, answers, counters)?,
+            (None, false) => tracer.any_each(seen, skips, answers, counters)?,
         }
         for (&place, &answer) in places.iter().zip(&*answers) {
             blocked[place as usize] = answer;

@@ -55,6 +55,10 @@ impl World {
                 let seen = WorldRay::from(&origin, direction, f32::INFINITY).seen_by(object, to_local, f32::INFINITY);
                 heading(triangle, seen.direction) == if front { Ordering::Greater } else { Ordering::Less }
             }
+            (Anchor::Surrogate { .. }, _) => {
+                let product = spot.normal.dot(direction);
+                if near { product > 0.0 } else { product < 0.0 }
+            }
             (Anchor::Smooth, Kind::Flat(flat)) => {
                 let product = flat.normal.dot(direction);
                 if front { product > 0.0 } else { product < 0.0 }

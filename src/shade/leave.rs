@@ -87,6 +87,9 @@ impl World {
     pub(super) fn leave(&self, spot: &Spot, near: bool, path: Path) -> Result<Departure> {
         let side = spot.side(near);
         let Some((origin, segment)) = self.first_origin(&side, path) else { return Ok(Departure::Nowhere) };
+        if spot.clear().is_some() {
+            return Ok(Departure::Free(origin));
+        }
         match self.any(&segment, spot.omit)? {
             false => Ok(Departure::Free(origin)),
             true => self.leave_past(&side, origin, path),
@@ -137,6 +140,11 @@ impl World {
                 let o = step_off(*point, along, triangle_bound(triangle, *point), times, certified)?;
                 let world = placed.map_or(o.as_dvec3(), |p| p.to_world.transform_point3(o.as_dvec3()));
                 Some(Origin { world, start: Start { object, point: o } })
+            }
+            (&Anchor::Surrogate { lift, .. }, _) => {
+                // Above all that it stands for, and by no less than the point may be off.
+                let bound = point_bound(spot.point).length();
+                Some(free(super::ray::rounded(spot.point + side.normal * (lift + 4.0 * bound))))
             }
             (Anchor::Smooth, kind) => {
                 let certified = |o: glam::Vec3| {

@@ -34,6 +34,8 @@ pub struct Surface {
     pub ior: f64,
     /// Blinn-Phong exponent.
     pub shininess: f64,
+    /// Variance of the angle by which facets too small to be seen lean, in radians squared; 0 but for surrogates.
+    pub roughness: f64,
 }
 
 impl From<&Material> for Surface {
@@ -47,11 +49,40 @@ impl From<&Material> for Surface {
             transmit: m.transmit,
             ior: m.ior,
             shininess: m.shininess,
+            roughness: 0.0,
         }
     }
 }
 
 impl Surface {
+    /// Made of facets whose normals agree so far with their mean: unit normals have a mean of that length.
+    ///
+    /// A field of facets of mean area 1 / R above its plane leans by about 1 / R^2 - 1 = tan^2 in the mean. The highlight is widened after Toksvig
+    /// ("Mipmapping normal maps", 2005).
+    pub fn of_facets(mut self, agreement: f64) -> Surface {
+        let r = agreement.clamp(1e-3, 1.0);
+        self.roughness = (1.0 / (r * r) - 1.0).min(1.0);
+        let shininess = self.shininess * r / (r + self.shininess * (1.0 - r));
+        self.specular *= (1.0 + shininess) / (1.0 + self.shininess);
+        self.shininess = shininess;
+        self
+    }
+
+    /// What facets make of diffuse light that comes from `l` and is seen from `v` about the mean normal `n`, all of unit length: the
+    /// factor by which a smooth surface's is multiplied (Oren and Nayar, "Generalization of Lambert's reflectance model", 1994,
+    /// the qualitative model). It stands for shadows and slopes below the size of a pixel.
+    pub fn facets(&self, n: DVec3, l: DVec3, v: DVec3) -> f64 {
+        let variance = self.roughness;
+        let (cos_l, cos_v) = (n.dot(l).clamp(1e-6, 1.0), n.dot(v).clamp(1e-6, 1.0));
+        let along = |x: DVec3, cosine: f64| (x - cosine * n).normalize_or_zero();
+        let azimuth = along(l, cos_l).dot(along(v, cos_v)).max(0.0);
+        // sin of the larger angle times tan of the lesser.
+        let sine = |cosine: f64| (1.0 - cosine * cosine).max(0.0).sqrt();
+        let spread = sine(cos_l.min(cos_v)) * sine(cos_l.max(cos_v)) / cos_l.max(cos_v);
+        let (a, b) = (1.0 - 0.5 * variance / (variance + 0.33), 0.45 * variance / (variance + 0.09));
+        a + b * azimuth * spread
+    }
+
     /// Overlaid by a mesh's own material, at a point with these texture coordinates (if it has any).
     ///
     /// What the record does not give stays the scene's. `illum` 3 and higher mirrors with Ks, below it does not mirror.
@@ -93,6 +124,21 @@ impl Surface {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn facets_darken_and_flatten() {
+        let smooth = Surface::from(&Material { shininess: 50.0, ..Material::default() });
+        assert_eq!(smooth.of_facets(1.0), smooth);
+        let rough = smooth.of_facets(0.8);
+        assert!(rough.shininess < 5.0 && rough.specular.x < 0.2 * smooth.specular.x.max(1.0) && rough.roughness > 0.5);
+        let seen = |l: DVec3, v: DVec3| rough.facets(DVec3::Z, l.normalize(), v.normalize());
+        // Straight down everything is darker; with the light behind the eye, low over the surface, it is brighter than that.
+        let down = seen(DVec3::Z, DVec3::Z);
+        assert!((0.5..0.8).contains(&down));
+        let low = DVec3::new(1.0, 0.0, 0.3);
+        assert!(seen(low, low) > 1.5 * down && seen(low, low * DVec3::new(-1.0, 1.0, 1.0)) == down);
+        assert_eq!(smooth.facets(DVec3::Z, DVec3::Z, low.normalize()), 1.0);
+    }
 
     #[test]
     fn given_fields_win_and_illum_decides_the_mirror() {

@@ -16,10 +16,15 @@
 //! - A term of weight zero traces no ray. A ray beyond the last bounce, or of a weight below 2^-20, has the
 //!   background's colour.
 //!
-//! Nothing here shifts a ray by an epsilon: see `origin` for where secondary rays start, `heading` for how their directions are rounded. Soft shadows, glossy
+//! With level of detail ([`World::with_lod`], `beam`) a mesh may give a surrogate in place of a triangle: its plane, mean normal and colour,
+//! shaded as the rough surface that its normals make it.
+//! Rays that leave one start above all that it stands for, and see nothing nearer than its error.
+//!
+//! Otherwise nothing here shifts a ray by an epsilon: see `origin` for where secondary rays start, `heading` for how their directions are rounded. Soft shadows, glossy
 //! reflection and attenuation are not modelled.
 
 mod batch;
+mod beam;
 #[cfg(test)]
 mod double;
 #[cfg(test)]
@@ -46,6 +51,7 @@ mod wave_tests;
 mod whitted;
 mod world;
 
+pub use beam::DetailCounts;
 pub use look::Look;
 pub use material::Surface;
 pub use object::Contact;

@@ -11,7 +11,7 @@ use crate::error::Result;
 use crate::exact::{self, Crossing, Line};
 use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip, Triangle};
 use crate::scene;
-use crate::trace::{Found, all_hits};
+use crate::trace::{Approximate, Found, Met, all_hits};
 
 /// One thing of the scene.
 #[derive(Debug)]
@@ -67,6 +67,8 @@ pub struct Contact {
 pub(super) enum Part {
     /// On this triangle of a mesh.
     Mesh(Found),
+    /// On a node of a mesh that stands for its triangles.
+    Surrogate(Approximate),
     /// On this triangle of the shape.
     Facet(u32, Hit),
     /// On a smooth surface, at this t.
@@ -164,7 +166,11 @@ impl Object {
             Kind::Mesh(placed) => {
                 let skip = if omitted { Skip::one(omit.face) } else { Skip::NONE };
                 let local = ray.seen_by(number, placed.to_local.as_ref(), tmax);
-                meshes[placed.mesh].tracer.closest(&local, skip)?.and_then(|f| contact(f.hit.t, Part::Mesh(f)))
+                match meshes[placed.mesh].meet(&local, skip, || ray.footprint(placed))? {
+                    Met::Nothing => None,
+                    Met::Triangle(f) => contact(f.hit.t, Part::Mesh(f)),
+                    Met::Surrogate(s) => contact(s.t, Part::Surrogate(s)),
+                }
             }
             Kind::Facets(facets) => {
                 let skip = if omitted { omit.face } else { FaceId::NONE };
@@ -218,7 +224,7 @@ impl Object {
             Kind::Mesh(placed) => {
                 let skip = if omit.object == number { Skip::one(omit.face) } else { Skip::NONE };
                 let local = ray.seen_by(number, placed.to_local.as_ref(), ray.tmax);
-                meshes[placed.mesh].tracer.any(&local, skip)
+                meshes[placed.mesh].any(&local, skip, || ray.footprint(placed))
             }
             _ => Ok(self.closest(meshes, number, ray, ray.tmax, omit)?.is_some()),
         }

@@ -2,6 +2,7 @@
 
 use glam::{DAffine3, DVec3, Vec3};
 
+use super::beam::Beam;
 use crate::geometry::{FaceId, Ray};
 
 /// No object.
@@ -19,6 +20,8 @@ pub struct WorldRay {
     pub(super) tmax: f32,
     /// The object on which the ray starts, and the certified origin in that object's space.
     pub(super) start: Start,
+    /// How wide it is.
+    pub(super) beam: Beam,
 }
 
 /// Where a secondary ray starts, in the space of the object that it leaves.
@@ -45,12 +48,26 @@ impl WorldRay {
     #[inline]
     pub fn new(origin: DVec3, direction: DVec3) -> WorldRay {
         let start = Start { object: NOBODY, point: Vec3::ZERO };
-        WorldRay { origin: rounded(origin), direction: rounded(direction), tmin: 0.0, tmax: f32::INFINITY, start }
+        WorldRay {
+            origin: rounded(origin),
+            direction: rounded(direction),
+            tmin: 0.0,
+            tmax: f32::INFINITY,
+            start,
+            beam: Beam::LINE,
+        }
     }
 
     /// A ray over `[0, tmax]` from a certified origin; the direction is rounded to f32, once.
     pub(super) fn from(origin: &Origin, direction: DVec3, tmax: f32) -> WorldRay {
-        WorldRay { origin: origin.world, direction: rounded(direction), tmin: 0.0, tmax, start: origin.start }
+        WorldRay {
+            origin: origin.world,
+            direction: rounded(direction),
+            tmin: 0.0,
+            tmax,
+            start: origin.start,
+            beam: Beam::LINE,
+        }
     }
 
     /// The same ray over `[tmin, tmax]`.

@@ -2,6 +2,7 @@
 
 use glam::{DVec3, Vec3};
 
+use super::beam::least_scale;
 use super::material::Surface;
 use super::object::{Contact, Kind, Part, Placed};
 use super::origin;
@@ -9,8 +10,9 @@ use super::ray::{Omit, WorldRay};
 use super::world::World;
 use crate::error::Result;
 use crate::exact;
+use crate::format::MaterialRecord;
 use crate::geometry::{FaceId, Triangle};
-use crate::trace::Found;
+use crate::trace::{Approximate, Found};
 
 /// A place on a surface, seen from one of its sides.
 #[derive(Clone, Copy, Debug)]
@@ -38,12 +40,24 @@ pub(super) enum Anchor {
     Triangle { triangle: Triangle, point: DVec3 },
     /// A sphere or plane: the point is the world's.
     Smooth,
+    /// A surrogate; distances are the world's.
+    Surrogate {
+        /// Up to here something may stand out of its plane.
+        lift: f64,
+        /// Up to here nothing is known.
+        clear: f64,
+    },
 }
 
 impl Spot {
     /// The same place seen from the other side.
     pub fn turned(self) -> Spot {
         Spot { normal: -self.normal, shading: -self.shading, front: !self.front, ..self }
+    }
+
+    /// What is seen of it is a surrogate: up to this distance nothing is known.
+    pub fn clear(&self) -> Option<f64> {
+        if let Anchor::Surrogate { clear, .. } = self.anchor { Some(clear) } else { None }
     }
 
     /// Turned so that the front is seen or not.
@@ -61,6 +75,7 @@ impl World {
         let surface = self.surfaces[object.material];
         match (&object.kind, &contact.part) {
             (Kind::Mesh(placed), Part::Mesh(found)) => self.on_mesh(contact.object, placed, found, ray, surface),
+            (Kind::Mesh(placed), Part::Surrogate(met)) => Ok(on_surrogate(contact.object, placed, met, ray, surface)),
             (Kind::Facets(facets), Part::Facet(i, hit)) => {
                 let place = Place::of(contact.object, &facets.all()[*i as usize], FaceId(*i), [hit.u, hit.v]);
                 Ok(place.spot(None, ray, surface).0)
@@ -110,6 +125,24 @@ impl World {
         }
         Ok(spot)
     }
+}
+
+/// A place on a node that stands for its triangles.
+fn on_surrogate(object: u32, placed: &Placed, met: &Approximate, ray: &WorldRay, surface: Surface) -> Spot {
+    let normal = (placed.normals * DVec3::from_array(met.normal)).normalize_or(DVec3::Y);
+    let front = ray.direction.dot(normal) < 0.0;
+    let record = MaterialRecord { kd: met.color.map(|c| c as f32), given: 2, ..Default::default() };
+    let scale = placed.to_local.map_or(1.0, |m| 1.0 / least_scale(&m.matrix3));
+    let spot = Spot {
+        omit: Omit { object, face: FaceId::NONE },
+        point: ray.origin + ray.direction * f64::from(met.t),
+        normal,
+        shading: normal,
+        front: true,
+        surface: if placed.mtl { surface.overlaid(&record, None, None) } else { surface }.of_facets(met.agreement),
+        anchor: Anchor::Surrogate { lift: met.deviation * scale, clear: met.reach * scale },
+    };
+    spot.seen(front)
 }
 
 /// A vertex normal, of unit length; zero where it is none.

@@ -16,8 +16,9 @@
 use glam::DVec3;
 
 use super::batch::{Batch, Questions};
+use super::beam::DetailCounts;
 use super::leave::{Blocker, Departure};
-use super::object::Contact;
+use super::object::{Contact, Part};
 use super::ray::{Omit, Origin, WorldRay};
 use super::whitted::{AT_LIGHT, LEAST_WEIGHT, Meeting, RayCounts, mirror, refract};
 use super::world::World;
@@ -33,6 +34,8 @@ pub struct Wave {
     depth: u32,
     /// Rays traced so far.
     pub counts: RayCounts,
+    /// Surrogates that they took for their hits.
+    pub detail: DetailCounts,
     /// What each sample has gathered.
     colors: Vec<Color>,
     /// The rays under way, of one sample each, in the samples' order.
@@ -204,10 +207,15 @@ impl World {
 
     /// Finds what each ray meets.
     pub(super) fn strike(&self, wave: &mut Wave) -> Result<()> {
-        let Wave { front, contacts, struck, asks, .. } = wave;
+        let Wave { front, contacts, struck, asks, detail, .. } = wave;
         self.closest_each(&front.rays, contacts, &mut asks.batch)?;
         struck.clear();
         for ((ray, about), (contact, i)) in front.rays.iter().zip(&front.about).zip(contacts.iter().zip(0u32..)) {
+            if let Some(Contact { part: Part::Surrogate(met), object, .. }) = contact
+                && about.blocker.is_none()
+            {
+                detail.add(met.error, self.allowed(*object));
+            }
             let meeting = match (&about.blocker, contact) {
                 (Some(blocker), _) => self.meet_blocker(ray, blocker)?,
                 (None, Some(contact)) => self.meet_contact(ray, contact)?,
@@ -234,6 +242,10 @@ impl World {
                 *s.departure(near) = Some(Departure::Nowhere);
                 return false;
             };
+            if spot.clear().is_some() {
+                *s.departure(near) = Some(Departure::Free(origin));
+                return false;
+            }
             questions.push(segment, spot.omit);
             *s.departure(near) = Some(Departure::Free(origin));
             true
@@ -270,7 +282,7 @@ impl World {
             // The light lies above the face, so the face itself is not in its way; a ball may be in its own.
             let omit = meeting.spot.omit;
             let omit = if omit.face == FaceId::NONE { Omit::NOTHING } else { omit };
-            questions.push(toward(light, origin), omit);
+            questions.push(meeting.lightward(toward(light, origin)), omit);
             true
         });
         counts.shadow += lit.len() as u64;
@@ -331,7 +343,7 @@ impl World {
                     None => color += weight * self.scene.background,
                     Some(ahead) => {
                         counts.refracted += 1;
-                        waiting.push((ahead.ray, about.then(weight, ahead.blocker)));
+                        waiting.push((s.meeting.onward(ahead.ray), about.then(weight, ahead.blocker)));
                     }
                 }
             }
@@ -346,7 +358,7 @@ impl World {
                 // Before what was refracted here.
                 Some(ahead) => {
                     counts.mirror += 1;
-                    next.push(ahead.ray, about.then(mirrored, ahead.blocker));
+                    next.push(s.meeting.onward(ahead.ray), about.then(mirrored, ahead.blocker));
                 }
             }
             *sum += about.weight * color;

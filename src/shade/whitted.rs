@@ -3,6 +3,7 @@
 
 use glam::DVec3;
 
+use super::beam::Beam;
 use super::leave::{Blocker, Departure, Path};
 use super::object::Contact;
 use super::ray::{Omit, Origin, WorldRay};
@@ -56,9 +57,22 @@ pub(super) struct Meeting {
     reach: f64,
     /// Where it began, if it is free all the way.
     origin: Option<DVec3>,
+    /// How wide the ray was here.
+    beam: Beam,
 }
 
 impl Meeting {
+    /// A ray that leaves from here, as wide as the one that came.
+    pub fn onward(&self, ray: WorldRay) -> WorldRay {
+        let tmin = self.spot.clear().map_or(ray.tmin, |clear| (clear / ray.direction.length()) as f32);
+        WorldRay { tmin, beam: self.beam, ..ray }
+    }
+
+    /// One toward a light, which does not widen.
+    pub fn lightward(&self, ray: WorldRay) -> WorldRay {
+        WorldRay { beam: self.beam.to_light(), ..self.onward(ray) }
+    }
+
     /// The free space on the side from which the ray came (`near`), or behind the surface.
     pub fn path(&self, near: bool) -> Path {
         match near {
@@ -95,7 +109,13 @@ impl World {
     pub(super) fn meet_contact(&self, ray: &WorldRay, contact: &Contact) -> Result<Meeting> {
         let spot = self.spot(contact, ray)?;
         let reach = (spot.point - ray.origin).length();
-        Ok(Meeting { spot, incoming: ray.direction.normalize_or_zero(), reach, origin: Some(ray.origin) })
+        Ok(Meeting {
+            spot,
+            incoming: ray.direction.normalize_or_zero(),
+            reach,
+            origin: Some(ray.origin),
+            beam: Beam::at(ray, contact),
+        })
     }
 
     /// Where a ray meets what it is known to meet at once.
@@ -107,7 +127,7 @@ impl World {
         let against = -segment.direction.normalize_or_zero();
         let incoming = if incoming.dot(spot.normal) < 0.0 { incoming } else { against };
         let reach = f64::from(segment.tmax - contact.t).max(0.0) * segment.direction.length();
-        Ok(Meeting { spot, incoming, reach, origin: None })
+        Ok(Meeting { spot, incoming, reach, origin: None, beam: ray.beam })
     }
 
     /// The diffuse and specular light that `light` gives if nothing lies between; zero for one behind the surface.
@@ -124,6 +144,9 @@ impl World {
             return Color::ZERO;
         }
         let mut lit = cosine * surface.diffuse;
+        if surface.roughness > 0.0 {
+            lit *= surface.facets(spot.shading, l, -incoming);
+        }
         if surface.specular != Color::ZERO {
             let h = (l - incoming).normalize_or_zero();
             lit += spot.shading.dot(h).max(0.0).powf(surface.shininess) * surface.specular;

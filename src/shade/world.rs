@@ -14,10 +14,10 @@ use super::tree::{Item, Tree};
 use crate::error::{Error, Result};
 use crate::event::Monitor;
 use crate::format::{Flags, MaterialRecord};
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, Ray, Skip};
 use crate::map::Octree;
 use crate::scene::{Scene, ToneMap};
-use crate::trace::{Found, LinearTracer, OctreeTracer, Tracer};
+use crate::trace::{Counters, Footprint, Found, LinearTracer, Met, OctreeTracer, Tracer};
 
 /// More objects than this get a tree over them.
 const TREE_FROM: usize = 16;
@@ -46,6 +46,8 @@ pub struct World {
 pub struct Mesh {
     pub(super) tracer: Box<dyn Tracer>,
     octree: Option<Arc<Octree>>,
+    /// Most error of surrogates, in pixels; `None`: exact.
+    pub(super) pixels: Option<f64>,
     /// Textures by material record.
     textures: Vec<Option<Texture>>,
 }
@@ -64,7 +66,7 @@ impl World {
                 Box::new(LinearTracer::new(&octree)?)
             };
             let textures = if with_textures(i) { textures(&octree, scene.tonemap, monitor) } else { Vec::new() };
-            Ok(Mesh { tracer, octree: Some(octree), textures })
+            Ok(Mesh { tracer, octree: Some(octree), pixels: None, textures })
         };
         let meshes = meshes.into_iter().enumerate().map(mesh).collect::<Result<Vec<_>>>()?;
         World::with_meshes(scene, meshes)
@@ -91,9 +93,43 @@ impl World {
         Ok(world)
     }
 
+    /// The same with level of detail: a node of a mesh may stand for its triangles where the error is at most so many pixels, as
+    /// `trace/lod.rs` says. 0 is the exact picture.
+    ///
+    /// Fails if a mesh was built without what is needed for that, or is not traced through its octree, or if the number is none.
+    pub fn with_lod(mut self, pixels: f64) -> Result<World> {
+        if !(pixels >= 0.0 && pixels.is_finite()) {
+            return Err(Error::Option(format!("level of detail of {pixels} pixels: it is 0 (exact) or more")));
+        }
+        if pixels > 0.0 && !self.scene.octree {
+            return Err(Error::Option(
+                "level of detail needs the octree, which the scene turns off (`oct off`)".into(),
+            ));
+        }
+        for mesh in &mut self.meshes {
+            let octree = mesh.octree.as_ref().filter(|_| pixels > 0.0);
+            if let Some(octree) = octree
+                && octree.detail()?.is_none()
+            {
+                let what = "has no level of detail; build it again with this octbuild, without --no-lod".into();
+                return Err(Error::Input { file: octree.path().to_owned(), what });
+            }
+            mesh.pixels = octree.map(|_| pixels);
+        }
+        Ok(self)
+    }
+
     /// The scene.
     pub fn scene(&self) -> &Scene {
         &self.scene
+    }
+
+    /// The error that is allowed of an object's surrogates, in pixels.
+    pub(super) fn allowed(&self, object: u32) -> f64 {
+        match &self.objects[object as usize].kind {
+            Kind::Mesh(placed) => self.meshes[placed.mesh].pixels.unwrap_or(0.0),
+            _ => 0.0,
+        }
     }
 
     /// The box around all that has been placed (planes left out), `None` if that is nothing.
@@ -229,7 +265,35 @@ impl World {
 impl Mesh {
     /// A mesh without attributes.
     pub fn bare(tracer: Box<dyn Tracer>) -> Mesh {
-        Mesh { tracer, octree: None, textures: Vec::new() }
+        Mesh { tracer, octree: None, pixels: None, textures: Vec::new() }
+    }
+
+    /// What a ray meets first; with level of detail, if it has a width.
+    pub(super) fn meet(&self, ray: &Ray, skip: Skip, footprint: impl FnOnce() -> Footprint) -> Result<Met> {
+        let footprint = if self.pixels.is_some() { footprint() } else { Footprint::NONE };
+        let mut met = [Met::Nothing];
+        match self.pixels {
+            Some(pixels) if footprint != Footprint::NONE => {
+                let rays = std::slice::from_ref(ray);
+                self.tracer.closest_coarse(rays, &[footprint], pixels, &mut met, &mut Counters::default())?;
+            }
+            _ => met = [self.tracer.closest(ray, skip)?.map_or(Met::Nothing, Met::Triangle)],
+        }
+        Ok(met[0])
+    }
+
+    /// Whether a ray meets anything; with level of detail, if it has a width.
+    pub(super) fn any(&self, ray: &Ray, skip: Skip, footprint: impl FnOnce() -> Footprint) -> Result<bool> {
+        let footprint = if self.pixels.is_some() { footprint() } else { Footprint::NONE };
+        let mut blocked = [false];
+        match self.pixels {
+            Some(pixels) if footprint != Footprint::NONE => {
+                let (rays, counters) = (std::slice::from_ref(ray), &mut Counters::default());
+                self.tracer.any_coarse(rays, &[skip], &[footprint], pixels, &mut blocked, counters)?;
+            }
+            _ => blocked = [self.tracer.any(ray, skip)?],
+        }
+        Ok(blocked[0])
     }
 
     /// The box around its triangles.

@@ -18,6 +18,7 @@ mod boxes;
 mod collect;
 mod flight;
 mod linear;
+mod lod;
 mod near;
 mod octree;
 mod packet;
@@ -37,6 +38,7 @@ pub use arch::Isa;
 pub use attributes::{Attributes, attributes};
 pub use boxes::{Stored, triangles_in_box};
 pub use linear::LinearTracer;
+pub use lod::{Approximate, Footprint, Met};
 pub use octree::{OctreeTracer, Order};
 
 /// Rays that one task of a batch takes.
@@ -121,6 +123,46 @@ pub trait Tracer: Send + Sync {
     /// # Panics
     /// If the slices differ in length.
     fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        self.any_each(rays, skips, blocked, counters)
+    }
+
+    /// What rays with widths meet first, on this thread: nodes whose error is at most `pixels` widths stand for their triangles. `met[i]` answers
+    /// `rays[i]`, whose width is `footprints[i]`. See `lod.rs` for what holds of the answers. A tracer without level of detail answers exactly.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn closest_coarse(
+        &self,
+        rays: &[Ray],
+        footprints: &[Footprint],
+        pixels: f64,
+        met: &mut [Met],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        assert!(
+            rays.len() == footprints.len() && rays.len() == met.len() && pixels > 0.0,
+            "a width and an answer a ray"
+        );
+        for (ray, met) in rays.iter().zip(met) {
+            *met = self.closest_counted(ray, Skip::NONE, counters)?.map_or(Met::Nothing, Met::Triangle);
+        }
+        Ok(())
+    }
+
+    /// Whether rays with widths meet anything, likewise, each leaving out its own `skips[i]` of the triangles.
+    ///
+    /// # Panics
+    /// If the slices differ in length.
+    fn any_coarse(
+        &self,
+        rays: &[Ray],
+        skips: &[Skip],
+        footprints: &[Footprint],
+        pixels: f64,
+        blocked: &mut [bool],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        assert!(footprints.len() == rays.len() && pixels > 0.0, "a width a ray");
         self.any_each(rays, skips, blocked, counters)
     }
 

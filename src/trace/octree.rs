@@ -7,15 +7,16 @@ use super::ask::{Ask, Least, LeastHit, LeastOfEach, Pause, Whether, WhetherEach}
 use super::batch::{Batch, SPACE};
 use super::collect::Collector;
 use super::flight::{Flight, STACKS, WORTHWHILE};
+use super::lod::{Approximate, Coarse, Footprint, Held, Met};
 use super::near::Near;
 use super::packet::{self, PACKET};
-use super::patient::{Fast, Patient};
+use super::patient::{Fast, Patient, STRETCH};
 use super::setup::Scene;
 use super::walk::{CACHED, File};
 use super::{BATCH, Counters, Found, Tracer, batch};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Hit, Ray, Skip};
-use crate::map::Octree;
+use crate::map::{Halt, Octree};
 
 /// Answers rays by walking an octree file. `O` is `&Octree`, `Arc<Octree>`, or `Octree` itself.
 #[derive(Clone)]
@@ -103,6 +104,60 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         });
         outcome.map_err(|halt| halt.mapped(self.octree()))?;
         self.octree().fault()
+    }
+
+    /// Answers rays with widths, on this thread. One that comes to a page that is not in memory waits for it.
+    fn coarse<A: Pause>(
+        &self,
+        ask: A,
+        rays: &[Ray],
+        (footprints, pixels): (&[Footprint], f64),
+        counters: &mut Counters,
+        mut give: impl FnMut(usize, A::Answer, Option<Approximate>),
+    ) -> Result<()>
+    where
+        for<'c> A::Collector<'c>: Collector<'c>,
+    {
+        let (octree, scene) = (self.octree(), &self.scene);
+        let Some(detail) = octree.detail()? else {
+            let file = octree.path().to_owned();
+            return Err(Error::Input { file, what: "has no level of detail; build it again, without --no-lod".into() });
+        };
+        let stretch = if octree.is_budgeted() { STRETCH } else { rays.len() };
+        let (mut next, mut held, mut ticket) = (0, Held::default(), None);
+        while next < rays.len() {
+            let visit = octree.visit();
+            let (ask, give, end) = (&ask, &mut give, (next + stretch).min(rays.len()));
+            let (next, held, visit_ref, counters) = (&mut next, &mut held, &visit, &mut *counters);
+            let job = Coarse {
+                ask,
+                rays,
+                footprints,
+                pixels,
+                visit: visit_ref,
+                detail,
+                scene,
+                counters,
+                give,
+                next,
+                end,
+                held,
+            };
+            match self.isa.run(job) {
+                Ok(()) => ticket = None,
+                Err(Halt::Failed(error)) => return Err(error),
+                Err(Halt::Absent(page)) => {
+                    drop(visit);
+                    // The page before may go now, this one stays until the ray has been through it.
+                    drop(ticket.take());
+                    let asked = octree.ask(page, 1);
+                    octree.wait(std::iter::once(&asked));
+                    asked.check()?;
+                    ticket = Some(asked);
+                }
+            }
+        }
+        octree.fault()
     }
 
     /// Answers rays of which nothing is known, on this thread, by the walk that is faster for them and for the file.
@@ -224,6 +279,44 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
         let outcome = self.isa.run(Near { visit: &visit, rays, skips, blocked, counters });
         outcome.map_err(|halt| halt.mapped(self.octree()))?;
         self.octree().fault()
+    }
+
+    fn closest_coarse(
+        &self,
+        rays: &[Ray],
+        footprints: &[Footprint],
+        pixels: f64,
+        met: &mut [Met],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        assert!(
+            rays.len() == footprints.len() && rays.len() == met.len() && pixels > 0.0,
+            "a width and an answer a ray"
+        );
+        let give = |i: usize, found: Option<Found>, surrogate: Option<Approximate>| {
+            met[i] = match (found, surrogate) {
+                (Some(found), Some(surrogate)) if surrogate.t < found.hit.t => Met::Surrogate(surrogate),
+                (Some(found), _) => Met::Triangle(found),
+                (None, Some(surrogate)) => Met::Surrogate(surrogate),
+                (None, None) => Met::Nothing,
+            };
+        };
+        self.coarse(Least { skip: Skip::NONE, last: None }, rays, (footprints, pixels), counters, give)
+    }
+
+    fn any_coarse(
+        &self,
+        rays: &[Ray],
+        skips: &[Skip],
+        footprints: &[Footprint],
+        pixels: f64,
+        blocked: &mut [bool],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        assert!(rays.len() == footprints.len() && pixels > 0.0, "a width a ray");
+        let give = |i: usize, found: bool, surrogate: Option<Approximate>| blocked[i] = found || surrogate.is_some();
+        self.coarse(WhetherEach(skips), rays, (footprints, pixels), counters, give)
     }
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {

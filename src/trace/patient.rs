@@ -31,7 +31,7 @@ use crate::geometry::{Hit, Ray, Skip, Triangle};
 use crate::map::{Halt, Octree, Ticket, Visit};
 
 /// Rays that are walked during one visit. Pages that a visit may have seen cannot be freed while it is open.
-const STRETCH: usize = 512;
+pub(super) const STRETCH: usize = 512;
 
 /// How rays start.
 #[derive(Clone, Copy)]

@@ -203,12 +203,10 @@ fn wrong_usage_is_refused() {
         &["a.obj", "-o", "-"],
         &["a.obj", "-o", "a.obj"],
         &["a.obj", "-o", "a.oct", "--memory", "63M"],
-        // Flags of later versions are not accepted and ignored.
         &["-", "-o", "a.oct", "--resume"],
         &["a.obj", "-o", "a.oct", "--compress", "gzip"],
         &["a.obj", "-o", "a.oct", "--compress", "zstd:23"],
         &["a.obj", "-o", "a.oct", "--positions", "grid:0"],
-        &["a.obj", "-o", "a.oct", "--no-lod"],
     ] {
         lab.fails(2, "octbuild", args);
     }

@@ -140,17 +140,47 @@ fn wrong_usage_and_inputs_are_refused() {
         &["folder"],
         &["ball.oct", "--size", "64"],
         &["ball.oct", "--samples", "3"],
+        &["ball.oct", "--lod", "-1"],
+        &["ball.oct", "--lod", "nan"],
         &["ball.oct", "--crop", "5,5,5,9"],
         &["ball.oct", "--crop", "0,0,9000,9"],
         // Flags of later versions are not accepted and ignored.
         &["ball.oct", "--memory", "1G"],
-        &["ball.oct", "--lod", "1"],
         &["ball.oct", "--aov", "depth=d.exr"],
         &["ball.oct", "--read", "mapped"],
     ] {
         lab.fails(2, "octrender", args);
     }
     assert_eq!(lab.files(), ["ball.obj", "ball.oct", "folder"]);
+}
+
+#[test]
+fn level_of_detail_is_told_and_checked() {
+    let lab = Lab::with_ball();
+    lab.done("octbuild", &["ball.obj", "-o", "plain.oct", "--no-lod"]);
+    assert!(lab.read("plain.oct").len() < lab.read("ball.oct").len());
+    lab.fails(2, "octrender", &["plain.oct", "--lod", "1", "-o", "a.png"]);
+    let draw = |input: &str, lod: &str, name: &str| {
+        lab.done("octrender", &[input, "--size", "24x24", "--lod", lod, "-o", name, "--stats", "s.json"]);
+        (lab.read(name), serde_json::from_slice::<serde_json::Value>(&lab.read("s.json")).unwrap())
+    };
+    let (exact, stats) = draw("plain.oct", "0", "a.png");
+    assert!(stats.get("lod").is_none());
+    assert!(draw("ball.oct", "0", "b.png").0 == exact);
+    let (_, stats) = draw("ball.oct", "20", "c.png");
+    let lod = &stats["lod"];
+    assert!(lod["pixels"] == 20.0 && lod["hits"].as_u64().unwrap() > 0, "{lod}");
+    assert!(lod["largest_error_pixels"].as_f64().unwrap() <= 20.0);
+    let counts: u64 = lod["histogram"].as_array().unwrap().iter().map(|n| n.as_u64().unwrap()).sum();
+    assert_eq!(counts, lod["hits"].as_u64().unwrap());
+    // What is for level of detail is damaged: the exact picture comes all the same.
+    let mut bytes = lab.read("ball.oct");
+    let end = bytes.len() - 80;
+    bytes[end] ^= 1;
+    lab.write("bad.oct", &bytes);
+    assert!(draw("bad.oct", "0", "d.png").0 == exact);
+    lab.fails(3, "octrender", &["bad.oct", "--lod", "1", "-o", "e.png"]);
+    lab.fails(3, "octinfo", &["bad.oct", "--verify"]);
 }
 
 #[test]

@@ -5,6 +5,8 @@ mod random;
 
 pub use random::Random;
 
+use std::path::Path;
+
 use octrace::build::{BuildOptions, build};
 use octrace::event::Monitor;
 use octrace::geometry::{Ray, Triangle};
@@ -148,9 +150,13 @@ impl Mesh {
     /// Builds a file of this mesh and opens it.
     pub fn octree(&self, options: &BuildOptions) -> Octree {
         let folder = tempfile::tempdir().expect("a folder for temporary files");
-        let path = folder.path().join("mesh.oct");
-        build(&mut Source(self), &path, options, Monitor::silent()).expect("the mesh builds");
-        Octree::open(&path).expect("the file opens")
+        self.octree_at(&folder.path().join("mesh.oct"), options)
+    }
+
+    /// The same under a name that stays.
+    pub fn octree_at(&self, path: &Path, options: &BuildOptions) -> Octree {
+        build(&mut Source(self), path, options, Monitor::silent()).expect("the mesh builds");
+        Octree::open(path).expect("the file opens")
     }
 }
 

@@ -39,8 +39,8 @@ impl From<octrace::format::Dropped> for Dropped {
 /// Pages of all files. In a mapped file each page that is touched is read once, when it is checked.
 #[derive(Default, serde::Serialize)]
 pub struct Pages {
-    total: u64,
-    touched: u64,
+    pub total: u64,
+    pub touched: u64,
     read: u64,
     reread: u64,
     bytes_touched: u64,

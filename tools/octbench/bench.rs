@@ -31,9 +31,13 @@ impl TriangleSource for MemorySource<'_> {
 /// Builds a mesh's octree file and opens it; the file's name is gone by then.
 pub fn octree(mesh: &Mesh, options: &BuildOptions) -> Result<Arc<Octree>> {
     let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir(), "create"))?;
-    let path = folder.path().join("mesh.oct");
-    build(&mut MemorySource(mesh), &path, options, Monitor::silent())?;
-    Ok(Arc::new(Octree::open(&path)?))
+    octree_at(mesh, &folder.path().join("mesh.oct"), options).map(Arc::new)
+}
+
+/// The same under a name that stays.
+pub fn octree_at(mesh: &Mesh, path: &Path, options: &BuildOptions) -> Result<Octree> {
+    build(&mut MemorySource(mesh), path, options, Monitor::silent())?;
+    Octree::open(path)
 }
 
 /// The library's form of a ray.

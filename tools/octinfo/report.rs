@@ -49,6 +49,7 @@ struct Parts {
     material_numbers: u64,
     normals: u64,
     texcoords: u64,
+    level_of_detail: u64,
     top: u64,
     header: u64,
     page_headers: u64,
@@ -76,6 +77,7 @@ struct Options {
     cell: Option<u32>,
     depth: u8,
     ids: bool,
+    lod: bool,
     grid: bool,
 }
 
@@ -179,12 +181,13 @@ impl Report {
         let o = &self.options;
         let cell = o.cell.map_or("all".to_owned(), |n| n.to_string());
         let ids = if o.ids { "" } else { " --no-ids" };
+        let lod = if o.lod { "" } else { " --no-lod" };
         let grid = if o.grid { " --positions grid" } else { "" };
         match o.split {
-            "sah" => format!("--split sah --brick {} --leaf {}{ids}{grid}", o.brick, o.leaf),
+            "sah" => format!("--split sah --brick {} --leaf {}{ids}{lod}{grid}", o.brick, o.leaf),
             split => {
                 let (brick, leaf, depth) = (o.brick, o.leaf, o.depth);
-                format!("--split {split} --brick {brick} --leaf {leaf} --cell {cell} --depth {depth}{ids}{grid}")
+                format!("--split {split} --brick {brick} --leaf {leaf} --cell {cell} --depth {depth}{ids}{lod}{grid}")
             }
         }
     }
@@ -200,6 +203,7 @@ impl Parts {
             material_numbers: p.materials,
             normals: p.normals,
             texcoords: p.texcoords,
+            level_of_detail: p.detail,
             top: p.top,
             header: p.header,
             page_headers: p.page_headers,
@@ -207,7 +211,7 @@ impl Parts {
         }
     }
 
-    fn list(&self) -> [(&'static str, u64); 11] {
+    fn list(&self) -> [(&'static str, u64); 12] {
         [
             ("nodes", self.nodes),
             ("leaf vertices", self.leaf_vertices),
@@ -216,6 +220,7 @@ impl Parts {
             ("material nos.", self.material_numbers),
             ("normals", self.normals),
             ("texcoords", self.texcoords),
+            ("level of detail", self.level_of_detail),
             ("top", self.top),
             ("header", self.header),
             ("page headers", self.page_headers),
@@ -236,6 +241,7 @@ fn options(h: &Header) -> Options {
         cell: (h.cell_limit != u32::MAX).then_some(h.cell_limit),
         depth: h.depth_limit,
         ids: h.flags.has(Flags::IDS),
+        lod: h.flags.has(Flags::DETAIL),
         grid: h.flags.has(Flags::STEPS),
     }
 }

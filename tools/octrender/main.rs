@@ -71,6 +71,16 @@ struct PictureArgs {
     /// material, shadow, cost (nodes and leaves visited) or pages (entered); may be repeated
     #[arg(long, value_name = "NAME=FILE", value_parser = aovs::parse)]
     aov: Vec<AovFile>,
+    /// Let a part of a mesh that is smaller than this many pixels stand for its triangles: faster from afar, and off by at most that;
+    /// 0 is exact [default: 0]
+    #[arg(long, value_name = "PX", value_parser = pixel_error)]
+    lod: Option<f64>,
+}
+
+/// An error in pixels: 0 or more.
+fn pixel_error(text: &str) -> std::result::Result<f64, String> {
+    let number = text.parse::<f64>().ok().filter(|x| *x >= 0.0 && x.is_finite());
+    number.ok_or_else(|| "expected a number of pixels, 0 (exact) or more".to_owned())
 }
 
 const EXAMPLES: &str = "\
@@ -82,6 +92,7 @@ Examples:
   octrender scenes/mirror_room.txt -o room.png --size 1920x1080 --samples 16
   octrender scene.txt -o light.exr                    linear light, unclamped
   octrender huge.oct --memory 512M                    a file of any size, never above 512 MiB of memory
+  octrender planet.oct --lod 1                        far away: nodes under a pixel stand for their triangles
   octrender scene.txt --crop 400,300,500,400 --samples 64 -o detail.png
   octrender scene.txt --aov depth=depth.exr --aov cost=cost.png
 ";
@@ -108,8 +119,9 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     let headers = paths.iter().map(|path| Octree::header_of(path)).collect::<Result<Vec<_>>>()?;
     let bound = args.reading.bound(&headers)?;
     let meshes = paths.iter().map(|path| open(path, bound.is_some())).collect::<Result<Vec<_>>>()?;
-    let world = World::new(scene, meshes.clone(), session.monitor())?;
-    let PictureArgs { size, samples, depth, crop, ref aov } = args.picture;
+    let PictureArgs { size, samples, depth, crop, lod, ref aov } = args.picture;
+    let lod = lod.filter(|pixels| *pixels > 0.0);
+    let world = World::new(scene, meshes.clone(), session.monitor())?.with_lod(lod.unwrap_or(0.0))?;
     let mut settings = Settings { size, samples, depth, crop, ..Settings::default() };
     if let Some(memory) = bound {
         let plan = plan(&world, &settings, aov.len(), memory, &meshes)?;
@@ -125,7 +137,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if !picture.complete {
         return broken_off(&picture, &place, tonemap, session);
     }
-    let stats = Stats::new(&picture, trace_cpu_seconds, &meshes);
+    let stats = Stats::new(&picture, trace_cpu_seconds, &meshes, lod);
     let mut drawn = Some((world, meshes));
     if aov.is_empty() {
         // What pages take is free for writing the picture.
@@ -141,6 +153,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     }
     let stats = stats.finished();
     session.say(stats.line(&place));
+    stats.lod_line().into_iter().for_each(|line| session.say(line));
     args.stats.write(&stats)?;
     Ok(ExitCode::SUCCESS)
 }

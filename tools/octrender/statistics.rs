@@ -23,6 +23,8 @@ pub struct Stats {
     trace_cpu_seconds: f64,
     cpu_seconds: f64,
     pages: Pages,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lod: Option<Lod>,
     peak_rss_bytes: u64,
 }
 
@@ -34,9 +36,24 @@ struct Rays {
     refracted: u64,
 }
 
+/// Level of detail, where it was asked for.
+#[derive(Serialize)]
+struct Lod {
+    /// The error allowed.
+    pixels: f64,
+    /// Surrogates that rays took for hits.
+    hits: u64,
+    /// The largest error of these.
+    largest_error_pixels: f64,
+    /// How many had an error of up to an eighth of what was allowed, two eighths, and so on.
+    histogram: [u64; 8],
+    /// Bytes read beside the pages.
+    bytes_read: u64,
+}
+
 impl Stats {
     /// The statistics of a picture of these meshes.
-    pub fn new(picture: &Picture, trace_cpu_seconds: f64, meshes: &[Arc<Octree>]) -> Stats {
+    pub fn new(picture: &Picture, trace_cpu_seconds: f64, meshes: &[Arc<Octree>], lod: Option<f64>) -> Stats {
         let (s, rays) = (picture.statistics, picture.statistics.rays);
         Stats {
             schema: stats::SCHEMA,
@@ -48,6 +65,13 @@ impl Stats {
             trace_cpu_seconds,
             cpu_seconds: stats::cpu_seconds(),
             pages: Pages::of(meshes.iter().map(|mesh| mesh.figures())),
+            lod: lod.map(|pixels| Lod {
+                pixels,
+                hits: s.detail.hits,
+                largest_error_pixels: s.detail.largest,
+                histogram: s.detail.histogram,
+                bytes_read: meshes.iter().map(|m| m.detail_bytes()).sum(),
+            }),
             peak_rss_bytes: stats::peak_rss_bytes(),
         }
     }
@@ -55,6 +79,17 @@ impl Stats {
     /// With the most memory that was taken up to now.
     pub fn finished(self) -> Stats {
         Stats { peak_rss_bytes: stats::peak_rss_bytes(), cpu_seconds: stats::cpu_seconds(), ..self }
+    }
+
+    /// What level of detail did, if it was asked for.
+    pub fn lod_line(&self) -> Option<String> {
+        let Lod { pixels, hits, largest_error_pixels, .. } = self.lod.as_ref()?;
+        Some(format!(
+            "level of detail: {} hits off by at most {largest_error_pixels:.3} pixels (allowed {pixels}), {} of {} pages used",
+            HumanCount(*hits),
+            HumanCount(self.pages.touched),
+            HumanCount(self.pages.total)
+        ))
     }
 
     /// The summary: size, rays, seconds, pages, memory.

@@ -22,6 +22,7 @@ mod choice;
 mod clip;
 mod collapse;
 mod emit;
+mod lod;
 mod octree;
 mod primitive;
 mod quantise;
@@ -37,6 +38,7 @@ mod wide;
 
 pub use cell::{Cell, cell_of, overlaps};
 pub use clip::cut_box;
+pub use lod::{surrogates, top_surrogates};
 pub use top::{TopBrick, build_top, top_levels};
 pub(crate) use wide::Bounds;
 

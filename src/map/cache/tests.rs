@@ -104,7 +104,13 @@ fn pack(from: &std::path::Path, to: &std::path::Path) {
     }
     let header = Header { flags: Flags(octree.flags().0 | Flags::PACKED), ..*octree.header() };
     let mut bricks = octree.bricks().to_vec();
-    let top = crate::format::Top { nodes: octree.top_nodes(), bricks: &mut bricks, materials: &[], strings: &[] };
+    let tops: Vec<_> = match octree.detail().unwrap() {
+        Some(detail) => (0..octree.top_nodes().len()).map(|i| *detail.top(i as u32).unwrap()).collect(),
+        None => Vec::new(),
+    };
+    let nodes = octree.top_nodes();
+    let surrogates = &mut |_: &[crate::format::Brick], _: &[crate::format::Surrogate]| tops.clone();
+    let top = crate::format::Top { nodes, bricks: &mut bricks, materials: &[], strings: &[], surrogates };
     writer.finish(header, top).unwrap();
 }
 

@@ -5,6 +5,8 @@
 //! table, JSON, and a plot as SVG and PNG.
 
 mod contender;
+mod lod;
+mod lod_plot;
 mod plot;
 mod rays;
 mod report;
@@ -17,6 +19,7 @@ use std::sync::Arc;
 use octrace::build::BuildOptions;
 use octrace::geometry::{Hit, Ray};
 use octrace::map::Octree;
+use octrace::output::drawing::Drawing;
 use octrace::trace::OctreeTracer;
 use octrace::{Error, Monitor, Result};
 use rayon::ThreadPool;
@@ -69,6 +72,13 @@ pub struct Options {
     /// Kernels of the library to compare [default: the one for single rays, and the one that does the same with rounding]
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = kernels::named)]
     kernels: Vec<&'static Kernel>,
+    /// An octree file to draw from afar over `octrender --lod` 0 to 4: time, what is read, and the picture's error; may be repeated. Without
+    /// --model, --planet or --rays-file nothing else is compared
+    #[arg(long = "lod", value_name = "FILE.oct")]
+    lod: Vec<PathBuf>,
+    /// With --lod: width of the mesh in pixels
+    #[arg(long, value_name = "N", default_value_t = 64, value_parser = clap::value_parser!(u32).range(1..=8192))]
+    lod_across: u32,
     /// Rounds that are timed
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
@@ -116,7 +126,12 @@ pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
         meshes: vec![],
         rows: vec![],
         summary: vec![],
+        lod: vec![],
     };
+    for path in &options.lod {
+        monitor.phase("level of detail");
+        report.lod.extend(lod::levels(path, options.lod_across, options.rounds, options.clock, monitor)?);
+    }
     let bench = Bench { options, one: &one, folder: folder.path(), monitor };
     for (mesh, obj) in meshes(options, folder.path(), session)? {
         let subject = Subject::new(mesh, obj)?;
@@ -136,9 +151,19 @@ pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
     }
     options.stats.write(&report)?;
     if let Some(name) = &options.output {
-        let plot = plot::draw(&report.rows, &report.machine.to_string());
-        write_whole(&name.with_extension("svg"), plot.svg().as_bytes())?;
-        write_whole(&name.with_extension("png"), &plot.png()?)?;
+        let machine = report.machine.to_string();
+        let write = |name: &Path, plot: Drawing| {
+            write_whole(&name.with_extension("svg"), plot.svg().as_bytes())?;
+            write_whole(&name.with_extension("png"), &plot.png()?)
+        };
+        if !report.rows.is_empty() {
+            write(name, plot::draw(&report.rows, &machine))?;
+        }
+        if !report.lod.is_empty() {
+            let mut text = name.clone().into_os_string();
+            text.push("-lod");
+            write(Path::new(&text), lod_plot::draw(&report.lod, &machine))?;
+        }
     }
     let broken = report.broken();
     if !broken.is_empty() {
@@ -156,7 +181,8 @@ fn meshes(options: &Options, folder: &Path, session: &Session<'_>) -> Result<Vec
     for path in &options.models {
         list.push((load(path, monitor)?, path.clone()));
     }
-    let planet = options.planet.or(list.is_empty().then_some(100_000));
+    let nothing_else = list.is_empty() && (options.lod.is_empty() || options.rays_file.is_some());
+    let planet = options.planet.or(nothing_else.then_some(100_000));
     if let Some(triangles) = planet {
         let path = folder.join("planet.obj");
         let mut out = Whole::create(&path)?;

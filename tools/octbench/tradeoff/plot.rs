@@ -10,12 +10,12 @@ const FRAME: [f32; 4] = [84.0, 630.0, 52.0, 392.0];
 const STRIP: f32 = 124.0;
 const LEGEND: f32 = 654.0;
 const RADIUS: f32 = 6.0;
-const GRID: Rgb = [0xe4; 3];
-const FINE: Rgb = [0xf3; 3];
-const AXIS: Rgb = [0x55; 3];
+pub(super) const GRID: Rgb = [0xe4; 3];
+pub(super) const FINE: Rgb = [0xf3; 3];
+pub(super) const AXIS: Rgb = [0x55; 3];
 
 /// Colours that most people can tell apart (Okabe and Ito 2008), the first for our own tracer.
-const COLORS: [Rgb; 7] = [
+pub(super) const COLORS: [Rgb; 7] = [
     [0x00, 0x72, 0xb2],
     [0xd5, 0x5e, 0x00],
     [0xcc, 0x79, 0xa7],
@@ -27,32 +27,32 @@ const COLORS: [Rgb; 7] = [
 const MARKS: [Mark; 4] = [Mark::Circle, Mark::Square, Mark::Triangle, Mark::Diamond];
 
 /// Values by powers of ten along a line of pixels.
-struct Axis {
+pub(super) struct Axis {
     powers: [i32; 2],
     pixels: [f32; 2],
 }
 
 impl Axis {
     /// From the power of ten below the least value to the one above the greatest.
-    fn over(values: impl Iterator<Item = f64>, pixels: [f32; 2]) -> Axis {
+    pub(super) fn over(values: impl Iterator<Item = f64>, pixels: [f32; 2]) -> Axis {
         let (low, high) = values.fold((f64::MAX, f64::MIN_POSITIVE), |(l, h), v| (l.min(v), h.max(v)));
         // A little room, so that no mark lies on the frame.
         let powers = [(low / 1.2).log10().floor() as i32, (high * 1.2).log10().ceil() as i32];
         Axis { powers, pixels }
     }
 
-    fn at(&self, value: f64) -> f32 {
+    pub(super) fn at(&self, value: f64) -> f32 {
         let [low, high] = self.powers.map(f64::from);
         let share = ((value.log10() - low) / (high - low)).clamp(0.0, 1.0) as f32;
         self.pixels[0] + share * (self.pixels[1] - self.pixels[0])
     }
 
-    fn ticks(&self) -> impl Iterator<Item = (i32, f32)> + '_ {
+    pub(super) fn ticks(&self) -> impl Iterator<Item = (i32, f32)> + '_ {
         (self.powers[0]..=self.powers[1]).map(|power| (power, self.at(10f64.powi(power))))
     }
 
     /// Two, three, .. nine times each power.
-    fn between(&self) -> impl Iterator<Item = f32> + '_ {
+    pub(super) fn between(&self) -> impl Iterator<Item = f32> + '_ {
         (self.powers[0]..self.powers[1])
             .flat_map(move |power| (2..10).map(move |k| self.at(f64::from(k) * 10f64.powi(power))))
     }
@@ -144,7 +144,7 @@ fn legend(drawing: &mut Drawing, tracers: &[&String], sets: &[&String]) {
     }
 }
 
-fn text_at(at: [f32; 2], text: &str, anchor: Anchor) -> Text {
+pub(super) fn text_at(at: [f32; 2], text: &str, anchor: Anchor) -> Text {
     Text { at, text: text.to_owned(), exponent: String::new(), size: 14.0, anchor, upward: false }
 }
 

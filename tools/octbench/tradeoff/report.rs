@@ -4,6 +4,7 @@ use std::fmt::Write as _;
 
 use serde::Serialize;
 
+use super::lod::{self, Level};
 use super::tally::Tally;
 use crate::machine::Machine;
 use crate::timing::{Clock, geometric_mean};
@@ -25,6 +26,9 @@ pub struct Report {
     pub rows: Vec<Row>,
     /// A row for each tracer, over all sets.
     pub summary: Vec<Row>,
+    /// A row for each file and level of detail.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub lod: Vec<Level>,
 }
 
 /// A mesh and its size.
@@ -87,6 +91,9 @@ impl Report {
 
     /// As a table for people.
     pub fn table(&self) -> String {
+        if self.rows.is_empty() {
+            return self.lod_heading() + &lod::table(&self.lod);
+        }
         let width = self.rows.iter().map(|r| r.tracer.chars().count()).max().unwrap_or(0).max(6);
         let mut text = self.heading();
         let heads = ["Mrays/s", "missed", "false", "wrong", "neighbour", "tie", "error rate", "t off", "most ulps"];
@@ -104,11 +111,14 @@ impl Report {
                 cells(row).iter().map(|cell| format!(" {cell:>10}")).collect::<String>()
             );
         }
-        text
+        text + &lod::table(&self.lod)
     }
 
     /// As Markdown: the summary, then all rows.
     pub fn markdown(&self) -> String {
+        if self.rows.is_empty() {
+            return self.lod_heading() + &lod::markdown(&self.lod);
+        }
         let mut text = self.heading() + "\n";
         let head = |first: &str| {
             format!(
@@ -123,7 +133,12 @@ impl Report {
         text += "\n";
         text += &head("rays, tracer");
         self.rows.iter().for_each(|row| text += &line(format!("{}: {}", row.set, row.tracer), row));
-        text
+        text + &lod::markdown(&self.lod)
+    }
+
+    fn lod_heading(&self) -> String {
+        let Report { machine, rounds, clock, .. } = self;
+        format!("{machine}; all threads, medians of {rounds} rounds in turn{}.\n", clock.note())
     }
 
     fn heading(&self) -> String {
