@@ -16,8 +16,8 @@
 //! A leaf, which has no surrogate of its own, is judged by its own box and its parent's surrogate: what that says of all triangles below the
 //! parent is true of the leaf's.
 //!
-//! So whatever the tree, a ray that truly hits something at t is given a hit no farther than t plus the error: nothing is lost, surfaces
-//! only grow, by the error at most. The answer is the least t of all surrogates that were taken and all triangles in the nodes that were entered,
+//! So whatever the tree, a ray that truly hits something at t is given a hit no farther than t plus the error that is allowed: nothing is lost,
+//! surfaces only grow, by that at most. The answer is the least t of all surrogates that were taken and all triangles in the nodes that were entered,
 //! and whether a node is taken depends on the ray and the node alone: so answers depend neither on the order of visits nor on the kernel.
 //!
 //! A ray that starts from a surrogate has its least t beyond the error of its start, where nothing is known, and passes what it
