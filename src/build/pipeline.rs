@@ -11,7 +11,7 @@ use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, Poi
 use crate::mesh::TriangleSource;
 
 use super::brick::{BrickBuilder, BuiltBrick};
-use super::checkpoint::{ChunkState, PageEntry, PageLog, State};
+use super::checkpoint::{PageEntry, PageLog, State};
 use super::chunk::{BrickList, BrickRule, bricks};
 use super::distribute::{Chunk, Extent, Records, Sorting};
 use super::grid::{CellCode, Grid, Placement, Unit};
@@ -22,7 +22,7 @@ use super::record::Layout;
 use super::report::BuildReport;
 use super::spool::Spool;
 use super::subtree::{Cell, TopBrick, build_top, top_levels};
-use super::triangles::{Mesh, Stage, Triangles, read, taken_up};
+use super::triangles::{Left, Mesh, Stage, Triangles, join_all, read, taken_up};
 use super::work::WorkFolder;
 
 /// Builds the octree file `output` from `source`.
@@ -55,16 +55,18 @@ pub(super) fn build_tuned(
     let work = WorkFolder::new(&options.temp_folder(output), output, writer.is_first())?;
     let mut phases = Phases::new(options.memory, monitor);
 
-    let found = if options.resume { taken_up(&work, options) } else { None };
+    let found = if options.resume { taken_up(&work, options, tuning) } else { None };
     if options.resume && found.is_none() {
         monitor.warn("there is no unfinished build of this mesh with these options to go on with; it begins anew");
     }
+    let joined = |scan, phases: &mut _| join_all(scan, (&work, output), options, tuning, phases, monitor);
     let Triangles { mesh, stage, state } = match found {
-        Some(triangles) => triangles,
+        Some(Left::Joined(triangles)) => triangles,
+        Some(Left::Scanned(scan)) => joined(scan, &mut phases)?,
         None => {
             writer.restart()?;
             work.clear()?;
-            read(source, (&work, output), options, tuning, &mut phases, monitor)?
+            joined(read(source, &work, options, tuning, &mut phases, monitor)?, &mut phases)?
         }
     };
     let mut build = Build::new(&mesh, options, tuning, writer, monitor);
@@ -190,7 +192,7 @@ impl<'a> Build<'a> {
                 }
                 let (spool, chunks) = self.sort(&records, &whole, grid, sorting, (work, 0), phases)?;
                 if let Some(mut state) = state {
-                    state.chunks = Some(chunks.iter().map(ChunkState::of).collect());
+                    state.add_chunks(&chunks);
                     state.save(work)?;
                     self.log = Some(PageLog::create(work)?);
                 }

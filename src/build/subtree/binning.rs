@@ -47,7 +47,7 @@ impl Binning {
             _ => BINS,
         };
         // An axis without extent gets scale 0: all in bin 0, no split. One of denormal extent may get an infinite
-        // scale: its least centre then gives 0 * inf = NaN, which the cast to an integer makes bin 0.
+        // scale: its least centre then gives 0 * inf = NaN, which goes to bin 0.
         let scale = Vec3A::select(extent.cmpgt(Vec3A::ZERO), Vec3A::splat(bins as f32) / extent, Vec3A::ZERO);
         (extent.max_element() > 0.0).then_some(Binning { low: centres.min, scale, bins })
     }
@@ -55,22 +55,24 @@ impl Binning {
     /// The bins of `N`, which must be as many as the binning has.
     #[inline(always)]
     fn bin<const N: usize>(&self, primitive: &Primitive) -> [usize; 3] {
+        // What is added leaves no room for a fraction, so that the low bits hold the nearest whole number, all three axes at
+        // once; the one below is wanted. A NaN ends as bin 0, in whatever way the processor takes it through.
+        const WHOLE: Vec3A = Vec3A::splat((1 << 23) as f32);
         let place = (primitive.centre() - self.low) * self.scale;
-        place.to_array().map(|place| number(place).min(N - 1))
+        let place = place.max(Vec3A::ZERO).min(Vec3A::splat((N - 1) as f32));
+        let nearest = place + WHOLE;
+        let passed = Vec3A::select((nearest - WHOLE).cmpgt(place), Vec3A::ONE, Vec3A::ZERO);
+        (nearest - passed).to_array().map(|place| place.to_bits() as usize % N)
     }
 
-    /// The same on one axis: the same operations, so the same bin.
+    /// Whether a primitive falls into a bin below `bin` (above 0) on an axis: the same operations as for all axes, so the
+    /// same bin. NaN is below.
     #[inline(always)]
-    pub fn bin_on(&self, axis: usize, primitive: &Primitive) -> usize {
+    pub fn is_below(&self, axis: usize, bin: usize, primitive: &Primitive) -> bool {
         let centre = 0.25 * primitive.min[axis] + 0.25 * primitive.max[axis];
-        number((centre - self.low[axis]) * self.scale[axis]).min(self.bins - 1)
+        let place = (centre - self.low[axis]) * self.scale[axis];
+        place < bin as f32 || place.is_nan()
     }
-}
-
-/// A place, 0 or more, or NaN, as the number of a bin. Bins are few, and to `u8` is the quickest of the saturating casts.
-#[inline(always)]
-fn number(place: f32) -> usize {
-    usize::from(place as u8)
 }
 
 /// The split of least cost: area times [`side_cost`], summed over both sides; `overlap`: whether to say how much they share.
@@ -125,11 +127,11 @@ impl<const N: usize> Bins<N> {
     /// The cheapest border between bins, named by the bin above it, if it is cheaper than `best`. Borders with nothing on
     /// one side do not count, and of those with only empty bins between them the lowest stands for all.
     fn cheapest_border(&self, axis: usize, best: &mut Split) {
-        const { assert!(N <= 32, "a bit for each bin") };
+        const { assert!(N <= 32 && N.is_power_of_two(), "a bit for each bin") };
         let taken = self.counts.iter().rev().fold(0u32, |bits, &count| bits << 1 | u32::from(count > 0));
         let mut above = [0.0f64; N];
         let (mut span, mut count, mut rest) = (Span::EMPTY, 0, taken);
-        while rest != 0 {
+        while rest & rest.wrapping_sub(1) != 0 {
             let bin = rest.ilog2() as usize;
             rest ^= 1 << bin;
             span = span.union(self.spans[bin]);
