@@ -190,6 +190,7 @@ impl<'a> Build<'a> {
                         None => self.load(&records, &whole),
                     };
                 }
+                phases.expect_sorting(true);
                 let (spool, chunks) = self.sort(&records, &whole, grid, sorting, (work, 0), phases)?;
                 if let Some(mut state) = state {
                     state.add_chunks(&chunks);
@@ -199,6 +200,7 @@ impl<'a> Build<'a> {
                 (spool, chunks, 0)
             }
             Stage::Sorted(spool, chunks) => {
+                phases.expect_sorting(true);
                 let done = self.take_up_pages(work)?;
                 (spool, chunks, done)
             }

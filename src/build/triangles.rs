@@ -69,6 +69,9 @@ pub(super) fn read<'w>(
     monitor: Monitor<'_>,
 ) -> Result<Scan<'w>> {
     check_before(source.size_hint(), options.memory, work.temp(), monitor)?;
+    // A triangle takes some 40 bytes of text.
+    let sorted = 40 * tuning.chunk(Layout::default());
+    phases.expect_sorting(source.size_hint().is_none_or(|size| size > sorted));
     phases.begin("scan");
     let mut scan = scan(source, work, tuning, monitor)?;
     if scan.is_spilled() {
@@ -96,6 +99,7 @@ pub(super) fn join_all<'w>(
     if records > 4 * tuning.record_words as u64 {
         check_after(records, scan.faces.triangles(), work.temp(), output)?;
     }
+    phases.expect_sorting(scan.counts_ahead(options, &tuning));
     phases.begin("join");
     let guess = Placement { root: RootCube::around(scan.bounds), split: options.split };
     let snap = Snap::new(options.positions, scan.bounds, scan.faces.triangles());
