@@ -207,8 +207,8 @@ impl Place {
     /// Builds the octree file, then writes its key.
     fn build(&self, mesh: &Path, read: &ReadOptions, source: Source, monitor: Monitor<'_>) -> Result<()> {
         let options = BuildOptions { origin: read.origin, name: Some(mesh.to_owned()), ..BuildOptions::default() };
-        let most_materials = options.most_materials().min(read.most_materials);
-        let read = ReadOptions { most_materials, ..*read };
+        let material_memory = options.material_memory().min(read.material_memory);
+        let read = ReadOptions { material_memory, ..*read };
         let read = read.within(options.reading_memory(), rayon::current_num_threads());
         build(mesh::open(mesh, &read)?.as_mut(), &self.octree, &options, monitor)?;
         let header = header_checksum(&self.octree).unwrap_or_default();
