@@ -10,7 +10,7 @@ use crate::mesh::NO_INDEX;
 use super::chunk::BrickList;
 use super::options::BuildOptions;
 use super::record::Layout;
-use super::subtree::{BrickTriangle, Subtree, SubtreeOptions, TopBrick, build_subtree};
+use super::subtree::{BrickTriangle, Subtree, SubtreeOptions, TopBrick, build_subtree_within};
 
 /// What all bricks of a file share.
 pub(super) struct BrickBuilder<'a> {
@@ -40,8 +40,8 @@ pub(super) struct BuiltBrick {
 }
 
 impl BrickBuilder<'_> {
-    /// Builds the page of a brick whose records lie in `words`.
-    pub fn build(&self, page: PageId, brick: &BrickList, words: &[u32]) -> Result<BuiltBrick> {
+    /// Builds the page of a brick whose records lie in `words`; `None` if it is a strict one that takes more than `memory` bytes.
+    pub fn build(&self, page: PageId, brick: &BrickList, words: &[u32], memory: u64) -> Result<Option<BuiltBrick>> {
         let record = |place: u32| {
             let at = place as usize * self.layout.words();
             &words[at..at + self.layout.words()]
@@ -52,7 +52,8 @@ impl BrickBuilder<'_> {
         };
         let triangles: Vec<BrickTriangle> = brick.records.iter().map(triangle).collect();
         let cell = brick.cell.cell();
-        let subtree = build_subtree(&triangles, cell, self.root, &self.subtree_options());
+        let subtree = build_subtree_within(&triangles, cell, self.root, &self.subtree_options(), memory);
+        let Some(subtree) = subtree else { return Ok(None) };
         let side = self.side_arrays(subtree.order.iter().map(|&i| record(brick.records[i as usize])));
         let Subtree { nodes, leaf_bytes, leaves, order, corner, unit, depth, bounds_root } = subtree;
         let references = order.len() as u32;
@@ -61,7 +62,7 @@ impl BrickBuilder<'_> {
             Error::Option(format!("a page of {references} triangles would pass 4 GiB; give a smaller --brick"))
         })?;
         let packed = self.options.compress.map(|level| pack(&page, level)).transpose();
-        Ok(BuiltBrick {
+        Ok(Some(BuiltBrick {
             packed: packed.map_err(Error::io("memory", "pack a page in"))?,
             page,
             top: TopBrick { cell, bounds_root },
@@ -73,7 +74,7 @@ impl BrickBuilder<'_> {
             depth,
             normals: !side.normal_corners.is_empty(),
             texcoords: !side.texcoord_corners.is_empty(),
-        })
+        }))
     }
 
     fn subtree_options(&self) -> SubtreeOptions {

@@ -213,6 +213,11 @@ impl Tuning {
         self.chunk_bytes / (4 * layout.words() as u64 + 28)
     }
 
+    /// Bytes for a chunk and a brick that is built alone.
+    pub fn alone_bytes(&self) -> u64 {
+        self.chunk_bytes + self.wave_bytes + self.wave_bytes / 2
+    }
+
     /// Most triangles of bricks that are built at the same time.
     pub fn wave(&self, layout: Layout) -> u64 {
         self.wave_bytes / brick_bytes(layout)

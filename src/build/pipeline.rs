@@ -21,7 +21,7 @@ use super::phases::Phases;
 use super::record::Layout;
 use super::report::BuildReport;
 use super::spool::Spool;
-use super::subtree::{Cell, TopBrick, build_top, top_levels};
+use super::subtree::{BrickTriangle, Cell, TopBrick, build_top, top_levels};
 use super::triangles::{Left, Mesh, Stage, Triangles, join_all, read, taken_up};
 use super::work::WorkFolder;
 
@@ -150,7 +150,7 @@ impl<'a> Build<'a> {
         let largest = u64::from(self.rule.limit).min(self.report.triangles);
         // Alone, a brick may have the whole share of a chunk and of a wave, and its records too.
         let needed = largest * alone_bytes(self.layout, self.options.split);
-        let there = self.tuning.chunk_bytes + self.tuning.wave_bytes + self.tuning.wave_bytes / 2;
+        let there = self.tuning.alone_bytes();
         if needed <= there {
             return Ok(());
         }
@@ -313,6 +313,8 @@ impl<'a> Build<'a> {
     fn chunk(&mut self, words: &[u32], units: &[Unit]) -> Result<()> {
         let lists = bricks(words, self.layout, units, self.rule);
         let most = self.tuning.wave(self.layout) as usize;
+        // How large a strict brick becomes does not show before it is built.
+        let bricks = if self.rule.placement.repeats() { rayon::current_num_threads() } else { usize::MAX };
         let mut rest = &lists[..];
         while !rest.is_empty() {
             self.monitor.check()?;
@@ -321,28 +323,50 @@ impl<'a> Build<'a> {
                 sum += list.records.len();
                 sum <= most
             };
-            let wave = rest.iter().take_while(fits).count().max(1);
+            let wave = rest.iter().take(bricks).take_while(fits).count().max(1);
             self.wave(&rest[..wave], words)?;
             rest = &rest[wave..];
         }
         Ok(())
     }
 
+    /// Builds bricks side by side, and from the first on that takes more than its share one after the other.
     fn wave(&mut self, lists: &[BrickList], words: &[u32]) -> Result<()> {
         let first = self.records.len() as u32;
         let (bricks, monitor) = (&self.bricks, self.monitor);
+        let share = self.tuning.wave_bytes / lists.len() as u64;
         let build = |(number, list): (u32, &BrickList)| {
             monitor.check()?;
-            bricks.build(PageId(number), list, words)
+            bricks.build(PageId(number), list, words, share)
         };
         let numbers = first..first + lists.len() as u32;
-        let built: Vec<BuiltBrick> =
+        let built: Vec<Option<BuiltBrick>> =
             numbers.into_par_iter().zip(lists).with_max_len(1).map(build).collect::<Result<_>>()?;
-        built.into_iter().try_for_each(|brick| self.append(brick))?;
+        let mut rest = lists;
+        for brick in built.into_iter().map_while(|brick| brick) {
+            self.append(brick)?;
+            rest = &rest[1..];
+        }
+        rest.iter().try_for_each(|list| self.alone(list, words))?;
         // In strict mode triangles repeat, so that this is only near enough for a bar.
         let done = self.report.references.min(self.report.triangles);
         self.monitor.progress(done, Some(self.report.triangles), "triangles");
         Ok(())
+    }
+
+    /// Builds a brick with all the memory that its chunk leaves.
+    fn alone(&mut self, list: &BrickList, words: &[u32]) -> Result<()> {
+        self.monitor.check()?;
+        let taken = 4 * words.len() + (size_of::<BrickTriangle>() + 20) * list.records.len();
+        let memory = self.tuning.alone_bytes().saturating_sub(taken as u64);
+        match self.bricks.build(PageId(self.records.len() as u32), list, words, memory)? {
+            Some(brick) => self.append(brick),
+            None => Err(Error::Option(format!(
+                "the strict octree of a page of {} triangles does not fit in the memory allowed; allow more, or take larger \
+                 cells (--cell) or smaller pages (--brick)",
+                list.records.len()
+            ))),
+        }
     }
 
     fn append(&mut self, brick: BuiltBrick) -> Result<()> {

@@ -96,9 +96,18 @@ pub struct Subtree {
 /// ([`overlaps`]); in strict mode the brick is responsible for the part inside the cell only. In sah mode the cell does not matter.
 /// The result is a function of the set of triangles, not of their order or of the number of threads.
 ///
+/// `None` if it would take more than `memory` bytes until its page is written. That is looked at in strict mode alone: in the
+/// others it follows from the number of triangles.
+///
 /// # Panics
 /// Without any triangle, or with 2^32 and more references.
-pub fn build_subtree(triangles: &[BrickTriangle], cell: Cell, root: RootCube, options: &SubtreeOptions) -> Subtree {
+pub fn build_subtree_within(
+    triangles: &[BrickTriangle],
+    cell: Cell,
+    root: RootCube,
+    options: &SubtreeOptions,
+    memory: u64,
+) -> Option<Subtree> {
     assert!(!triangles.is_empty(), "a brick has at least one triangle");
     assert!(u32::try_from(triangles.len()).is_ok(), "a brick has fewer than 2^32 triangles");
     let sorted = sort(triangles, root);
@@ -121,10 +130,16 @@ pub fn build_subtree(triangles: &[BrickTriangle], cell: Cell, root: RootCube, op
         }
         SplitMode::Strict => {
             drop(sorted);
-            strict::StrictBuilder { triangles: canonical, root, limits, cell: limit, depth }.build(cell)
+            strict::StrictBuilder { triangles: canonical, root, limits, cell: limit, depth, memory }.build(cell)?
         }
     };
-    emit::emit(&tree, triangles, options.unit, options.points)
+    Some(emit::emit(&tree, triangles, options.unit, options.points))
+}
+
+/// The same without a bound.
+#[cfg(test)]
+pub fn build_subtree(triangles: &[BrickTriangle], cell: Cell, root: RootCube, options: &SubtreeOptions) -> Subtree {
+    build_subtree_within(triangles, cell, root, options, u64::MAX).expect("there is no bound")
 }
 
 /// A triangle's place in the canonical order.

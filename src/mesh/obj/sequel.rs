@@ -1,6 +1,5 @@
 //! What is carried from block to block: counts, the line number, the material in force.
 
-
 use super::forward::Forward;
 use super::parse::{Context, KINDS, NAMES, Parsed, Problem, parse_known};
 use super::place::{decode, diagnose};
