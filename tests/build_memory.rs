@@ -129,6 +129,30 @@ fn giant_triangles_over_everything() {
 }
 
 #[test]
+fn large_triangles_among_small_ones() {
+    // A field of bumps on a ground of two triangles, under wires as long as the field.
+    let mut obj = String::new();
+    for i in 0..500 * 500 {
+        writeln!(obj, "v {} {} 0.{}", i % 500, i / 500, i * 7919 % 13).unwrap();
+    }
+    for y in 0..499 {
+        for at in (1..500).map(|x| x + 500 * y) {
+            writeln!(obj, "f {at} {} {}\nf {at} {2} {}", at + 1, at + 501, at + 500).unwrap();
+        }
+    }
+    obj += "v -1 -1 -1\nv 501 -1 -1\nv 501 501 -1\nv -1 501 -1\nf -4 -3 -2\nf -4 -2 -1\n";
+    for y in 0..2000 {
+        let y = f64::from(y) * 0.25;
+        writeln!(obj, "v 0 {y} 9\nv 499 {} 8\nv 499 {} 8.1\nf -3 -2 -1", 499.0 - y, 499.1 - y).unwrap();
+    }
+    let stats = check("large", obj);
+    assert!(phases(&stats).contains(&"split"));
+    let count = |name: &str| stats[name].as_u64().unwrap();
+    assert_eq!(count("triangles"), 2 * 499 * 499 + 2002);
+    assert!(count("references") > count("triangles") + 4000, "{} references", count("references"));
+}
+
+#[test]
 fn points_given_again_for_each_triangle() {
     let mut obj = String::new();
     for i in 0..400_000 {

@@ -9,7 +9,7 @@ use std::cmp::Ordering;
 
 use octrace::build::{BuildOptions, Positions};
 use octrace::exact::Line;
-use octrace::format::{Flags, SplitMode};
+use octrace::format::{Flags, PageId, SplitMode};
 use octrace::geometry::{FaceId, Hit, Ray, Skip};
 use octrace::map::Octree;
 use octrace::trace::{Counters, Found, Isa, LinearTracer, OctreeTracer, Order, Tracer, all_hits};
@@ -190,6 +190,36 @@ fn however_the_file_is_built() {
             let tracer = OctreeTracer::new(&octree).with_isa(isas[k % isas.len()]);
             let tracer = if k / isas.len() % 2 == 1 { tracer.backward() } else { tracer };
             bench.check(&format!("{options:?}"), &tracer);
+        }
+    }
+}
+
+/// Large triangles cut before the mesh is divided into pages, in parts that lie in many of them; and not cut, without ids.
+#[test]
+fn cut_before_the_partition() {
+    let bench = Bench::new("room", Mesh::room(), 400, 7);
+    for brick in [20, 100, 1000] {
+        for ids in [true, false] {
+            let octree = bench.mesh.octree(&BuildOptions { brick: Some(brick), ids, ..BuildOptions::default() });
+            let header = octree.header();
+            assert!(header.pages > 3000 / brick);
+            assert_eq!(header.references > header.triangles + 100, ids, "{brick}: {} references", header.references);
+            if !ids {
+                continue;
+            }
+            let mut huge = std::collections::BTreeSet::new();
+            for page in (0..header.pages).map(|page| octree.page(PageId(page)).unwrap()) {
+                let references = 0..page.header().references;
+                // The walls come first in the file.
+                huge.extend(
+                    references.map(|r| page.face(r).0).filter(|&face| face < 12).map(|face| (face, page.header().page)),
+                );
+            }
+            assert!(huge.len() > 24, "{brick}: walls in {huge:?}");
+            for isa in Isa::available() {
+                bench.check(&format!("bricks of {brick}, {isa:?}"), &OctreeTracer::new(&octree).with_isa(isa));
+            }
+            bench.check(&format!("bricks of {brick}, backward"), &OctreeTracer::new(&octree).backward());
         }
     }
 }

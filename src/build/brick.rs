@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use crate::error::{Error, Result};
 use crate::format::{LeafUnit, PageHeader, PageId, SideArrays, pack};
-use crate::geometry::RootCube;
+use crate::geometry::{Aabb, RootCube};
 use crate::mesh::NO_INDEX;
 
 use super::chunk::BrickList;
@@ -52,7 +52,11 @@ impl BrickBuilder<'_> {
         };
         let triangles: Vec<BrickTriangle> = brick.records.iter().map(triangle).collect();
         let cell = brick.cell.cell();
-        let subtree = build_subtree_within(&triangles, cell, self.root, &self.subtree_options(), memory);
+        let parts: Vec<Aabb> = match self.layout.parts {
+            true => brick.records.iter().map(|&place| self.layout.bounds(record(place))).collect(),
+            false => Vec::new(),
+        };
+        let subtree = build_subtree_within(&triangles, &parts, cell, self.root, &self.subtree_options(), memory);
         let Some(subtree) = subtree else { return Ok(None) };
         let side = self.side_arrays(subtree.order.iter().map(|&i| record(brick.records[i as usize])));
         let Subtree { nodes, leaf_bytes, leaves, order, corner, unit, depth, bounds_root } = subtree;

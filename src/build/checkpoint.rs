@@ -37,8 +37,14 @@ pub(super) struct State {
 pub(super) enum Reached {
     /// The source is read.
     Scanned(ScannedState),
-    /// The triangles are joined, and sorted into chunks if there are some.
-    Joined(JoinedState, Option<Vec<ChunkState>>),
+    /// The triangles are joined.
+    Joined {
+        joined: JoinedState,
+        /// Whether records stand for parts of triangles: then they lie in the spool of that name.
+        parts: bool,
+        /// The chunks, if the records were sorted into some.
+        chunks: Option<Vec<ChunkState>>,
+    },
 }
 
 /// What must be the same for a build to go on.
@@ -63,6 +69,7 @@ pub(super) struct JoinedState {
     polygons: [u64; 3],
     merged: u64,
     shift: u64,
+    longest: u32,
     bounds: [u32; 6],
     all_bounds: [u32; 6],
     materials: Vec<MaterialState>,
@@ -101,12 +108,24 @@ impl State {
 
     /// The state after the join, likewise.
     pub fn joined(options: &BuildOptions, joined: JoinedState) -> Option<State> {
-        Some(State { key: Key::of(options)?, reached: Reached::Joined(joined, None) })
+        Some(State { key: Key::of(options)?, reached: Reached::Joined { joined, parts: false, chunks: None } })
+    }
+
+    /// Whether records stand for parts of triangles.
+    pub fn has_parts(&self) -> bool {
+        matches!(self.reached, Reached::Joined { parts: true, .. })
+    }
+
+    /// Notes that records, so many words of them, stand for parts of triangles from now on.
+    pub fn add_parts(&mut self, words: u64) {
+        if let Reached::Joined { joined, parts, .. } = &mut self.reached {
+            (*parts, joined.record_words) = (true, words);
+        }
     }
 
     /// Adds the chunks that the triangles are sorted into.
     pub fn add_chunks(&mut self, sorted: &[Chunk]) {
-        if let Reached::Joined(_, chunks) = &mut self.reached {
+        if let Reached::Joined { chunks, .. } = &mut self.reached {
             *chunks = Some(sorted.iter().map(ChunkState::of).collect());
         }
     }
@@ -163,6 +182,7 @@ impl JoinedState {
             polygons: [p.cut, p.clipped, p.fanned],
             merged: tally.merged,
             shift: tally.shift.to_bits(),
+            longest: tally.longest.to_bits(),
             bounds: bits(tally.bounds),
             all_bounds: bits(tally.all_bounds),
             materials: states_of(materials),
@@ -171,7 +191,7 @@ impl JoinedState {
 
     pub fn layout(&self) -> Layout {
         let [materials, normals, texcoords] = self.layout;
-        Layout { materials, normals, texcoords }
+        Layout { materials, normals, texcoords, parts: false }
     }
 
     pub fn tally(&self) -> Tally {
@@ -183,6 +203,7 @@ impl JoinedState {
             polygons: Polygons { cut, clipped, fanned },
             merged: self.merged,
             shift: f64::from_bits(self.shift),
+            longest: f32::from_bits(self.longest),
             bounds: bounds(self.bounds),
             all_bounds: bounds(self.all_bounds),
         }
@@ -359,7 +380,7 @@ mod tests {
         let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
         let mut tally = Tally::new();
         (tally.kept, tally.dropped.bad_index, tally.merged) = (5, 6, 7);
-        let layout = Layout { materials: true, normals: false, texcoords: true };
+        let layout = Layout { materials: true, normals: false, texcoords: true, parts: false };
         let material = MaterialInfo {
             name: "red".into(),
             kd: Some([0.1, f32::NAN, -0.0]),
@@ -377,7 +398,7 @@ mod tests {
         state.save(&work).unwrap();
         let again = State::load(&work, &BuildOptions { memory: 1 << 40, ..options.clone() }).unwrap();
         assert_eq!(again, state);
-        let Reached::Joined(joined, Some(chunks)) = again.reached else { panic!("joined and sorted") };
+        let Reached::Joined { joined, chunks: Some(chunks), .. } = again.reached else { panic!("joined and sorted") };
         assert_eq!(chunks[0].chunk().units, [unit]);
         let back = joined.materials().remove(1);
         assert_eq!(back.kd.map(|c| c.map(f32::to_bits)), material.kd.map(|c| c.map(f32::to_bits)));

@@ -42,7 +42,7 @@ pub(super) fn bricks(words: &[u32], layout: Layout, units: &[Unit], rule: BrickR
     let codes = if rule.placement.repeats() {
         Vec::new()
     } else {
-        let record = |record| cell_of(rule.placement.root, &layout.triangle(record));
+        let record = |record| cell_of(rule.placement.root, layout.bounds(record));
         words.par_chunks_exact(layout.words()).with_min_len(1024).map(record).collect()
     };
     let chunk = Loaded { words, layout, rule, codes };

@@ -100,7 +100,11 @@ impl Sorting<'_> {
         let layout = records.layout;
         records.pieces(self.tuning.piece, self.monitor, |words| {
             words.par_chunks_exact(layout.words()).with_min_len(1024).for_each(|record| {
-                grid.count(&layout.triangle(record), self.placement);
+                if self.placement.repeats() {
+                    grid.count(&layout.triangle(record), self.placement);
+                } else {
+                    grid.count_box(layout.bounds(record), self.placement.root);
+                }
             });
             Ok(())
         })?;
@@ -141,8 +145,8 @@ impl Sorting<'_> {
         let words = layout.words();
         let mut goals: Vec<(u32, u32)> = Vec::with_capacity(part.len() / words);
         for (number, record) in (0..).zip(part.chunks_exact(words)) {
-            let triangle = layout.triangle(record);
             if self.placement.repeats() {
+                let triangle = layout.triangle(record);
                 places(units, &triangle, cell, self.placement, |unit| {
                     // Units come in order, so a chunk that has the record already is the last one.
                     let goal = (chunk_of[unit], number);
@@ -151,7 +155,7 @@ impl Sorting<'_> {
                     }
                 });
             } else {
-                let code = cell_of(self.placement.root, &triangle);
+                let code = cell_of(self.placement.root, layout.bounds(record));
                 goals.push((chunk_of[units.partition_point(|unit| unit.cell.end() <= code)], number));
             }
         }

@@ -7,7 +7,7 @@
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use crate::format::SplitMode;
-use crate::geometry::{RootCube, Triangle, morton};
+use crate::geometry::{Aabb, RootCube, Triangle, morton};
 
 use super::subtree::{Cell, cell_of, overlaps};
 
@@ -59,7 +59,7 @@ impl Placement {
         if self.repeats() {
             self.descend_overlaps(triangle, from, visit);
         } else {
-            let code = cell_of(self.root, triangle);
+            let code = cell_of(self.root, Aabb::from(triangle));
             let at = |level: u32| CellCode { level, code: code >> (3 * (morton::BITS - level)) };
             let _ = (from.level..=morton::BITS).all(|level| visit(at(level)));
         }
@@ -93,16 +93,39 @@ impl Grid {
 
     /// Counts a triangle in every cell it belongs to, or in the finest alone where there is one of each level.
     pub fn count(&self, triangle: &Triangle, placement: Placement) {
-        let finest = self.from.level + self.levels.len() as u32 - 1;
         if !placement.repeats() {
-            let code = cell_of(placement.root, triangle) >> (3 * (morton::BITS - finest));
-            self.counter(CellCode { level: finest, code }).fetch_add(1, Ordering::Relaxed);
-            return;
+            return self.count_box(Aabb::from(triangle), placement.root);
         }
+        let finest = self.finest();
         placement.descend(triangle, self.from, &mut |cell| {
             self.counter(cell).fetch_add(1, Ordering::Relaxed);
             cell.level < finest
         });
+    }
+
+    /// Counts what has that box in the finest cell around its centre.
+    pub fn count_box(&self, bounds: Aabb, root: RootCube) {
+        let level = self.finest();
+        let code = cell_of(root, bounds) >> (3 * (morton::BITS - level));
+        self.counter(CellCode { level, code }).fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The level of the finest cells.
+    pub fn finest(&self) -> u32 {
+        self.from.level + self.levels.len() as u32 - 1
+    }
+
+    /// What a cell holds, once all is [summed up](Grid::sum_up).
+    pub fn held(&self, cell: CellCode) -> u64 {
+        self.counter(cell).load(Ordering::Relaxed).into()
+    }
+
+    /// The deepest level, at most the finest, of a cell within one that holds more than `limit`, once all is summed up.
+    pub fn deepest(&self, limit: u64) -> u32 {
+        let is_divided =
+            |level: &&Vec<AtomicU32>| level.iter().any(|count| u64::from(count.load(Ordering::Relaxed)) > limit);
+        let divided = self.levels.iter().take_while(is_divided).count() as u32;
+        (self.from.level + divided).min(self.finest())
     }
 
     fn counter(&self, cell: CellCode) -> &AtomicU32 {
@@ -125,8 +148,8 @@ impl Grid {
         units
     }
 
-    /// Counts in each cell what its octants hold.
-    fn sum_up(&mut self) {
+    /// Counts in each cell what its octants hold, where only the finest were counted.
+    pub fn sum_up(&mut self) {
         for level in (1..self.levels.len()).rev() {
             let (above, below) = self.levels.split_at_mut(level);
             for (sum, octants) in above[level - 1].iter_mut().zip(below[0].chunks_exact_mut(8)) {
@@ -136,8 +159,8 @@ impl Grid {
     }
 
     fn collect(&self, cell: CellCode, limit: u64, units: &mut Vec<Unit>) {
-        let triangles = u64::from(self.counter(cell).load(Ordering::Relaxed));
-        let finest = cell.level - self.from.level + 1 == self.levels.len() as u32;
+        let triangles = self.held(cell);
+        let finest = cell.level == self.finest();
         if triangles == 0 {
         } else if triangles <= limit || finest {
             units.push(Unit { cell, triangles });

@@ -40,6 +40,8 @@ pub(super) struct Tally {
     pub merged: u64,
     /// See [`super::BuildReport::largest_shift`].
     pub shift: f64,
+    /// The longest side of any kept triangle's box.
+    pub longest: f32,
     /// Of the kept triangles.
     pub bounds: Aabb,
     /// Of the vertices of all faces that were not dropped as a whole.
@@ -49,7 +51,8 @@ pub(super) struct Tally {
 impl Tally {
     pub fn new() -> Self {
         let (dropped, polygons) = Default::default();
-        Tally { kept: 0, dropped, polygons, merged: 0, shift: 0.0, bounds: Aabb::EMPTY, all_bounds: Aabb::EMPTY }
+        let bounds = Aabb::EMPTY;
+        Tally { kept: 0, dropped, polygons, merged: 0, shift: 0.0, longest: 0.0, bounds, all_bounds: bounds }
     }
 
     fn add(&mut self, other: &Tally) {
@@ -60,6 +63,7 @@ impl Tally {
         self.polygons += other.polygons;
         self.merged += other.merged;
         self.shift = self.shift.max(other.shift);
+        self.longest = self.longest.max(other.longest);
         self.bounds = self.bounds.union(other.bounds);
         self.all_bounds = self.all_bounds.union(other.all_bounds);
     }
@@ -315,7 +319,9 @@ impl Joiner<'_> {
             return;
         }
         tally.kept += 1;
-        tally.bounds = tally.bounds.union(Aabb::around(corners.map(Into::into)));
+        let bounds = Aabb::around(corners.map(Into::into));
+        tally.longest = tally.longest.max((bounds.max - bounds.min).max_element());
+        tally.bounds = tally.bounds.union(bounds);
         corners.iter().for_each(|&corner| self.piece.sketch.add(corner));
         if let Some((grid, placement)) = &self.join.grid {
             grid.count(&corners.into(), *placement);

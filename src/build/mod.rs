@@ -2,6 +2,7 @@
 //!
 //! Phases, each of them streaming: **scan** takes vertices and faces to tables, in memory while they fit, else in temporary
 //! files; **join** gives each face its positions, cuts polygons, drops what no ray can hit and writes triangle records;
+//! **split** (in few meshes) cuts triangles that are much larger than their brick: from there on a record stands for a part of one;
 //! **count** (done by the join already, as a rule) and **distribute** sort the records into chunks, runs of octree cells
 //! that fit in memory, within one temporary file; **chunks** takes them in the order of the curve, cuts each into bricks
 //! and writes their pages; **stitch** adds the top of the tree and the header. A mesh that fits in one chunk skips the sorting.
@@ -24,6 +25,7 @@ mod brick;
 mod checkpoint;
 mod chunk;
 mod distribute;
+mod early;
 mod faces;
 mod grid;
 mod join;

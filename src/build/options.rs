@@ -23,7 +23,7 @@ pub struct BuildOptions {
     pub cell: u32,
     /// Deepest octree level, 0 to 21; the root is level 0.
     pub depth: u8,
-    /// Whether face ids are stored. Without them no triangle can be stored twice, so large ones are not cut by spatial splits.
+    /// Whether face ids are stored. Without them no triangle can be stored twice, so large ones are not cut by spatial splits, nor before the mesh is divided into pages.
     pub ids: bool,
     /// Whether positions are stored as they are or moved to a grid, where they take fewer bytes.
     pub positions: Positions,

@@ -14,6 +14,7 @@ use super::brick::{BrickBuilder, BuiltBrick};
 use super::checkpoint::{PageEntry, PageLog, State};
 use super::chunk::{BrickList, BrickRule, bricks};
 use super::distribute::{Chunk, Extent, Records, Sorting};
+use super::early::Early;
 use super::grid::{CellCode, Grid, Placement, Unit};
 use super::materials::materials;
 use super::options::{BuildOptions, Tuning, alone_bytes};
@@ -70,7 +71,6 @@ pub(super) fn build_tuned(
         }
     };
     let mut build = Build::new(&mesh, options, tuning, writer, monitor);
-    build.check_memory()?;
     build.run(stage, state, &work, &mut phases)?;
     phases.begin("stitch");
     let mut report = build.finish(output)?;
@@ -162,13 +162,14 @@ impl<'a> Build<'a> {
     }
 
     /// Sorts the records into chunks if there are more than one, and writes all pages.
-    fn run(
+    fn run<'w>(
         &mut self,
-        stage: Stage<'_>,
-        state: Option<State>,
-        work: &WorkFolder,
+        stage: Stage<'w>,
+        mut state: Option<State>,
+        work: &'w WorkFolder,
         phases: &mut Phases<'_>,
     ) -> Result<()> {
+        let stage = self.early(stage, &mut state, work, phases)?;
         let sorting = Sorting {
             tuning: self.tuning,
             placement: self.rule.placement,
@@ -178,7 +179,7 @@ impl<'a> Build<'a> {
         };
         let (spool, chunks, done) = match stage {
             Stage::Joined(records, grid) => {
-                let root = Unit { cell: CellCode::ROOT, triangles: self.report.triangles };
+                let root = Unit { cell: CellCode::ROOT, triangles: records.len() / self.layout.words() as u64 };
                 let extents = vec![Extent { at: 0, words: records.len() }];
                 let whole = Chunk { units: vec![root], extents };
                 self.writer.restart()?;
@@ -207,6 +208,44 @@ impl<'a> Build<'a> {
         };
         phases.begin("chunks");
         self.chunks(&spool, &chunks, done, sorting, (work, 1), phases)
+    }
+
+    /// Cuts large triangles where that pays, if it was not done before: then records stand for parts of triangles.
+    fn early<'w>(
+        &mut self,
+        mut stage: Stage<'w>,
+        state: &mut Option<State>,
+        work: &'w WorkFolder,
+        phases: &mut Phases<'_>,
+    ) -> Result<Stage<'w>> {
+        let early = Early {
+            rule: self.rule,
+            layout: self.layout,
+            longest: self.mesh.tally.longest,
+            tuning: self.tuning,
+            monitor: self.monitor,
+        };
+        let mut is_cut = state.as_ref().is_some_and(State::has_parts);
+        if let Stage::Joined(records, _) = &stage
+            && !is_cut
+            && self.options.ids
+            && early.is_for(self.report.triangles)
+        {
+            phases.begin("split");
+            if let Some(mut parts) = early.cut(records, work)? {
+                if let Some(state) = state {
+                    parts.spill()?;
+                    state.add_parts(parts.len());
+                    state.save(work)?;
+                }
+                // Only now may the records of whole triangles go.
+                (stage, is_cut) = (Stage::Joined(parts, None), true);
+            }
+        }
+        self.layout.parts = is_cut;
+        self.bricks.layout = self.layout;
+        self.check_memory()?;
+        Ok(stage)
     }
 
     /// Goes on with the pages that a killed build wrote: how many chunks they make.

@@ -1,6 +1,6 @@
 //! Triangle records: what travels through the temporary files after the join.
 
-use crate::geometry::Triangle;
+use crate::geometry::{Aabb, Triangle};
 
 /// What a record holds; only what the mesh has.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -11,6 +11,8 @@ pub(super) struct Layout {
     pub normals: bool,
     /// Three texture coordinates.
     pub texcoords: bool,
+    /// The box of the part of the triangle that the record stands for, behind all else ([`super::early`]).
+    pub parts: bool,
 }
 
 /// One triangle.
@@ -28,10 +30,17 @@ pub(super) struct Record {
 
 /// Words of the corners and the id.
 const PLAIN: usize = 10;
+/// Words of a box.
+const BOX: usize = 6;
 
 impl Layout {
     /// Words of a record.
     pub fn words(self) -> usize {
+        self.whole_words() + BOX * usize::from(self.parts)
+    }
+
+    /// Words of a record without the box of its part.
+    fn whole_words(self) -> usize {
         PLAIN + usize::from(self.materials) + 9 * usize::from(self.normals) + 6 * usize::from(self.texcoords)
     }
 
@@ -54,6 +63,24 @@ impl Layout {
     pub fn triangle(self, record: &[u32]) -> Triangle {
         let corner = |i: usize| [record[i], record[i + 1], record[i + 2]].map(f32::from_bits).into();
         Triangle { a: corner(0), b: corner(3), c: corner(6) }
+    }
+
+    /// Appends what stands for a part of a triangle: `whole`, the record of the triangle in the layout without parts, and
+    /// the part's box.
+    pub fn write_part(self, whole: &[u32], part: Aabb, out: &mut Vec<u32>) {
+        debug_assert!(self.parts && whole.len() == self.whole_words());
+        out.extend_from_slice(whole);
+        out.extend([part.min, part.max].iter().flat_map(|corner| corner.to_array()).map(f32::to_bits));
+    }
+
+    /// The box of what a record stands for: its part, or the whole triangle.
+    pub fn bounds(self, record: &[u32]) -> Aabb {
+        if !self.parts {
+            return Aabb::from(&self.triangle(record));
+        }
+        let at = self.whole_words();
+        let corner = |i: usize| [record[i], record[i + 1], record[i + 2]].map(f32::from_bits).into();
+        Aabb { min: corner(at), max: corner(at + 3) }
     }
 
     /// The face id of a record.
@@ -91,7 +118,8 @@ mod tests {
     #[test]
     fn every_layout_reads_back() {
         for bits in 0..8 {
-            let layout = Layout { materials: bits & 1 > 0, normals: bits & 2 > 0, texcoords: bits & 4 > 0 };
+            let (materials, normals, texcoords) = (bits & 1 > 0, bits & 2 > 0, bits & 4 > 0);
+            let layout = Layout { materials, normals, texcoords, parts: false };
             let record = Record {
                 corners: [[1.0, -0.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 9.0]],
                 id: 10,
@@ -108,6 +136,12 @@ mod tests {
             assert_eq!(layout.material(&words), layout.materials.then_some(11));
             assert_eq!(layout.normals(&words), layout.normals.then_some(record.normals));
             assert_eq!(layout.texcoords(&words), layout.texcoords.then_some(record.texcoords));
+            let part = Aabb { min: [1.0, -0.5, 3.0].into(), max: [2.0, 0.5, 4.0].into() };
+            let (with_part, mut more) = (Layout { parts: true, ..layout }, vec![]);
+            with_part.write_part(&words, part, &mut more);
+            assert_eq!((more.len(), &more[..words.len()]), (with_part.words(), &words[..]));
+            assert_eq!(with_part.bounds(&more), part);
+            assert_eq!(layout.bounds(&words), Aabb::from(&triangle));
         }
     }
 }

@@ -36,6 +36,7 @@ impl<'a> Scan<'a> {
             materials: self.faces.has_materials && !self.info.materials.is_empty(),
             normals: self.faces.has_normals,
             texcoords: self.faces.has_texcoords,
+            parts: false,
         }
     }
 

@@ -48,8 +48,7 @@ impl Snap {
                 let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
                 let farthest = bounds.max.abs().max(bounds.min.abs()).max_element();
                 let steps = (STEPS + triangles.max(1).ilog2() / 2).clamp(LEAST_STEPS, MOST_STEPS);
-                // Of nothing, log2 is the least number there is.
-                let fine = (extent.log2().floor() as i32).saturating_sub_unsigned(steps);
+                let fine = (extent.log2().floor() as i32).saturating_sub(steps as i32);
                 // Numbers of 24 bits, as f32 has; what lies far from zero has no finer digits anyway.
                 let least = (f64::from(farthest).log2().floor() as i32).saturating_sub(23);
                 (extent > 0.0 && extent.is_finite()).then(|| Snap { step: 2f64.powi(fine.max(least)) })

@@ -127,13 +127,14 @@ pub(super) fn taken_up<'w>(work: &'w WorkFolder, options: &BuildOptions, tuning:
     let state = State::load(work, options)?;
     let (mesh, stage) = match &state.reached {
         Reached::Scanned(state) => return scanned::taken_up(state, work, tuning).map(Left::Scanned),
-        Reached::Joined(joined, Some(chunks)) => {
+        Reached::Joined { joined, chunks: Some(chunks), .. } => {
             let end = chunks.iter().map(ChunkState::end).max().unwrap_or(0);
             let chunks = chunks.iter().map(ChunkState::chunk).collect();
             (Mesh::of(joined), Stage::Sorted(Spool::reopen(work, "chunks0", end)?, chunks))
         }
-        Reached::Joined(joined, None) => {
-            (Mesh::of(joined), Stage::Joined(Spool::reopen(work, "records", joined.record_words)?, None))
+        Reached::Joined { joined, parts, chunks: None } => {
+            let name = if *parts { "parts" } else { "records" };
+            (Mesh::of(joined), Stage::Joined(Spool::reopen(work, name, joined.record_words)?, None))
         }
     };
     Some(Left::Joined(Triangles { mesh, stage, state: Some(state) }))

@@ -379,7 +379,7 @@ mod tests {
         assert_eq!(library_paths(folder.path(), "x y.mtl"), [at("x y.mtl")]);
         let names = |all: &[&str]| {
             let mut names = Names::default();
-            all.iter().for_each(|name| drop(names.number(name)));
+            all.iter().for_each(|name| assert!(names.number(name).is_some()));
             names
         };
         let used = || names(&["c", "ab", "no", "c # blue"]);

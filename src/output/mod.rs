@@ -4,6 +4,9 @@
 //! stored as they are, `round(255 x)`, as classic scenes expect, or sRGB-encoded first. A file is written under a
 //! temporary name beside its own and renamed, so that a broken-off write leaves nothing that looks whole.
 
+mod aov;
+pub mod drawing;
+
 use std::io::{Cursor, Write};
 use std::path::Path;
 
@@ -12,6 +15,8 @@ use image::{DynamicImage, ImageFormat, Rgb32FImage, RgbImage};
 use crate::error::{Error, Result};
 use crate::render::Film;
 use crate::scene::ToneMap;
+
+pub use aov::{AovFormat, encode_aov, save_aov};
 
 /// Suffixes and what they stand for.
 const SUFFIXES: [(&str, ImageFormat); 9] = [
@@ -59,6 +64,11 @@ pub fn save(film: &Film, path: &Path, tonemap: ToneMap) -> Result<()> {
     let format = Format::of(path)?;
     let bytes = encode(film, format, tonemap)
         .map_err(|e| Error::Input { file: path.to_owned(), what: format!("cannot write this picture: {e}") })?;
+    write(&bytes, path)
+}
+
+/// Writes a file under a temporary name beside its own and renames it.
+fn write(bytes: &[u8], path: &Path) -> Result<()> {
     // A device or a pipe is written to as it is, a link is followed.
     let real = path.canonicalize().unwrap_or_else(|_| path.to_owned());
     if real.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir()) {
@@ -70,7 +80,7 @@ pub fn save(film: &Film, path: &Path, tonemap: ToneMap) -> Result<()> {
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut file = builder.tempfile_in(folder).map_err(Error::create(path))?;
-    file.write_all(&bytes).map_err(Error::io(path, "write"))?;
+    file.write_all(bytes).map_err(Error::io(path, "write"))?;
     file.persist(&real).map_err(|e| e.error).map_err(Error::create(path))?;
     Ok(())
 }

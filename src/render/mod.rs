@@ -4,12 +4,14 @@
 //! so that rays traced at about the same time need about the same pages. A pixel's colour depends on the world and its
 //! own column and row alone: neither tiles, threads nor a crop change a bit of it.
 
+mod aov;
 mod camera;
 mod film;
 mod hilbert;
 mod sampling;
 mod tiles;
 
+pub use aov::{Aov, AovKind, Values, aovs};
 pub use camera::Eye;
 pub use film::Film;
 pub use tiles::{Picture, Settings, Statistics, render};

@@ -110,22 +110,22 @@ struct State<'f> {
 }
 
 /// A picture to be made, resolved from scene and settings.
-struct Job<'w> {
-    world: &'w World,
+pub(super) struct Job<'w> {
+    pub world: &'w World,
     eye: Eye,
     /// Rows of the whole picture.
     rows: u32,
     /// Top-left corner of the region.
     corner: [u32; 2],
-    width: u32,
-    height: u32,
-    depth: u32,
+    pub width: u32,
+    pub height: u32,
+    pub depth: u32,
     /// Samples are k * k.
-    k: u32,
+    pub k: u32,
 }
 
 impl<'w> Job<'w> {
-    fn new(world: &'w World, settings: &Settings) -> Result<Job<'w>> {
+    pub fn new(world: &'w World, settings: &Settings) -> Result<Job<'w>> {
         let scene = world.scene();
         let size @ [columns, rows] = settings.size.unwrap_or(scene.size);
         if !(1..=MOST_SIDE).contains(&columns) || !(1..=MOST_SIDE).contains(&rows) {
@@ -209,7 +209,21 @@ impl<'w> Job<'w> {
 
     /// The ray of sample `s` of the pixel in column x and row y from the top of the whole picture.
     fn ray(&self, x: u32, y: u32, s: u32) -> WorldRay {
-        let [u, v] = sampling::position(s, self.k);
+        self.through(x, y, sampling::position(s, self.k))
+    }
+
+    /// The ray of sample `s` of the pixel in column x and row y from the top of the region.
+    pub fn sample(&self, x: u32, y: u32, s: u32) -> WorldRay {
+        self.ray(self.corner[0] + x, self.corner[1] + y, s)
+    }
+
+    /// The ray through the middle of the pixel in column x and row y from the top of the region.
+    pub fn middle(&self, x: u32, y: u32) -> WorldRay {
+        self.through(self.corner[0] + x, self.corner[1] + y, [0.5; 2])
+    }
+
+    /// The ray at `u` and `v` from the bottom-left corner of a pixel.
+    fn through(&self, x: u32, y: u32, [u, v]: [f64; 2]) -> WorldRay {
         self.eye.ray(f64::from(x) + u, f64::from(self.rows - 1 - y) + v)
     }
 }

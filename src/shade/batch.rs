@@ -22,6 +22,8 @@ pub(super) struct Batch {
     blocked: Vec<bool>,
     /// Which of the world's rays each is.
     places: Vec<u32>,
+    /// Work done in meshes so far.
+    pub counters: Counters,
 }
 
 /// Questions whether anything lies on a ray.
@@ -94,7 +96,7 @@ impl World {
         contacts: &mut [Option<Contact>],
         batch: &mut Batch,
     ) -> Result<()> {
-        let Batch { rays: seen, skips, found, .. } = batch;
+        let Batch { rays: seen, skips, found, counters, .. } = batch;
         let to_local = placed.to_local.as_ref();
         seen.resize(rays.len(), NO_RAY);
         for ((seen, ray), best) in seen.iter_mut().zip(rays).zip(&*contacts) {
@@ -103,7 +105,7 @@ impl World {
         skips.clear();
         skips.resize(rays.len(), Skip::NONE);
         found.resize(rays.len(), None);
-        self.meshes[placed.mesh].tracer.closest_each(seen, skips, found, &mut Counters::default())?;
+        self.meshes[placed.mesh].tracer.closest_each(seen, skips, found, counters)?;
         for (found, best) in found.iter().zip(contacts) {
             let Some(found) = found else { continue };
             let contact = Contact { t: found.hit.t, object, part: Part::Mesh(*found) };
@@ -150,7 +152,7 @@ impl World {
         blocked: &mut [bool],
         batch: &mut Batch,
     ) -> Result<()> {
-        let Batch { rays: seen, skips, blocked: answers, places, .. } = batch;
+        let Batch { rays: seen, skips, blocked: answers, places, counters, .. } = batch;
         seen.clear();
         skips.clear();
         places.clear();
@@ -160,7 +162,7 @@ impl World {
             places.push(i as u32);
         }
         answers.resize(seen.len(), false);
-        let (tracer, counters) = (&self.meshes[placed.mesh].tracer, &mut Counters::default());
+        let tracer = &self.meshes[placed.mesh].tracer;
         match short {
             true => tracer.any_short(seen, skips, answers, counters)?,
             false => tracer.any_each(seen, skips, answers, counters)?,

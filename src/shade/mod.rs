@@ -26,6 +26,7 @@ mod double;
 mod grazing_tests;
 mod heading;
 mod leave;
+mod look;
 mod material;
 mod object;
 mod origin;
@@ -45,6 +46,7 @@ mod wave_tests;
 mod whitted;
 mod world;
 
+pub use look::Look;
 pub use material::Surface;
 pub use object::Contact;
 pub use path::{Bounce, MirrorPath};

@@ -24,6 +24,7 @@ use super::world::World;
 use crate::error::Result;
 use crate::geometry::FaceId;
 use crate::scene::{Color, Light};
+use crate::trace::Counters;
 
 /// Rays of one thread that are followed together, and what became of them.
 #[derive(Default)]
@@ -35,13 +36,13 @@ pub struct Wave {
     /// What each sample has gathered.
     colors: Vec<Color>,
     /// The rays under way, of one sample each, in the samples' order.
-    front: Front,
+    pub(super) front: Front,
     /// Those that come next.
     next: Front,
     /// What is still to be followed for each sample, the next one last.
     waiting: Vec<Vec<(WorldRay, Pending)>>,
-    contacts: Vec<Option<Contact>>,
-    struck: Vec<Struck>,
+    pub(super) contacts: Vec<Option<Contact>>,
+    pub(super) struck: Vec<Struck>,
     /// What a light may give, and to which of the struck.
     lit: Vec<(u32, Color)>,
     /// Of which of the struck a departure is wanted.
@@ -59,13 +60,13 @@ struct Asks {
 
 /// Rays, and what each is for.
 #[derive(Default)]
-struct Front {
-    rays: Vec<WorldRay>,
+pub(super) struct Front {
+    pub rays: Vec<WorldRay>,
     about: Vec<Pending>,
 }
 
 /// What a ray's colour counts, and for which sample.
-struct Pending {
+pub(super) struct Pending {
     weight: Color,
     bounces: u32,
     sample: u32,
@@ -74,12 +75,14 @@ struct Pending {
 }
 
 /// Where a ray of the front met a surface.
-struct Struck {
+pub(super) struct Struck {
     /// Which ray.
-    ray: u32,
-    meeting: Meeting,
+    pub ray: u32,
+    pub meeting: Meeting,
     /// Ambient, diffuse and specular light.
     local: Color,
+    /// How many lights give some.
+    pub lights: u32,
     /// How the surface is left on the side that is seen, once that was asked, and on the other.
     near: Option<Departure>,
     far: Option<Departure>,
@@ -104,6 +107,11 @@ impl Wave {
         self.counts.primary += 1;
         self.colors.push(Color::ZERO);
         self.front.push(ray, Pending { weight: Color::ONE, bounces: 0, sample, blocker: None });
+    }
+
+    /// Work done in meshes so far, but for what lies about surfaces that are hard to leave.
+    pub fn work(&self) -> Counters {
+        self.asks.batch.counters
     }
 
     /// The linear colours that the samples have gathered; whole when [`World::follow`] has no more to do.
@@ -186,7 +194,7 @@ impl World {
     }
 
     /// Finds what each ray meets.
-    fn strike(&self, wave: &mut Wave) -> Result<()> {
+    pub(super) fn strike(&self, wave: &mut Wave) -> Result<()> {
         let Wave { front, contacts, struck, asks, .. } = wave;
         self.closest_each(&front.rays, contacts, &mut asks.batch)?;
         struck.clear();
@@ -197,7 +205,7 @@ impl World {
                 (None, None) => continue,
             };
             let local = self.scene.ambient * meeting.spot.surface.ambient;
-            struck.push(Struck { ray: i, meeting, local, near: None, far: None });
+            struck.push(Struck { ray: i, meeting, local, lights: 0, near: None, far: None });
         }
         Ok(())
     }
@@ -233,7 +241,7 @@ impl World {
     }
 
     /// Adds what a light gives to each surface that was struck.
-    fn shine(&self, light: &Light, wave: &mut Wave) -> Result<()> {
+    pub(super) fn shine(&self, light: &Light, wave: &mut Wave) -> Result<()> {
         let Wave { struck, lit, wanted, asks, counts, .. } = wave;
         lit.clear();
         for (s, i) in struck.iter().zip(0u32..).filter(|x| x.0.meeting.spot.surface.local != 0.0) {
@@ -264,6 +272,7 @@ impl World {
         }
         for (&(i, color), _) in lit.iter().zip(&questions.blocked).filter(|x| !x.1) {
             struck[i as usize].local += color;
+            struck[i as usize].lights += 1;
         }
         Ok(())
     }

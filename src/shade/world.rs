@@ -255,15 +255,26 @@ impl Mesh {
         }
     }
 
+    /// How many materials the mesh's file has.
+    pub(super) fn materials(&self) -> usize {
+        self.octree.as_ref().map_or(0, |octree| octree.materials().len())
+    }
+
+    /// The number of a hit triangle's own material in the mesh's file, if it has one.
+    pub(super) fn material_number(&self, found: &Found) -> Result<Option<u32>> {
+        match &self.octree {
+            Some(octree) if octree.flags().has(Flags::MATERIALS) => {
+                Ok(octree.page(found.page)?.material(found.reference).checked_sub(1))
+            }
+            _ => Ok(None),
+        }
+    }
+
     /// The mesh's own material of a hit triangle, if it has one, and its texture.
     pub(super) fn material(&self, found: &Found) -> Result<Option<(&MaterialRecord, Option<&Texture>)>> {
-        let Some(octree) = &self.octree else { return Ok(None) };
-        if !octree.flags().has(Flags::MATERIALS) {
-            return Ok(None);
-        }
-        let number = octree.page(found.page)?.material(found.reference) as usize;
-        let record = number.checked_sub(1).and_then(|i| octree.materials().get(i));
-        Ok(record.map(|r| (r, self.textures.get(number - 1).and_then(Option::as_ref))))
+        let (Some(octree), Some(number)) = (&self.octree, self.material_number(found)?) else { return Ok(None) };
+        let record = octree.materials().get(number as usize);
+        Ok(record.map(|r| (r, self.textures.get(number as usize).and_then(Option::as_ref))))
     }
 }
 

@@ -1,5 +1,6 @@
 //! octrender: draws a scene, an octree file or an OBJ file.
 
+mod aovs;
 #[path = "../cli/mod.rs"]
 mod cli;
 mod place;
@@ -18,6 +19,7 @@ use octrace::scene::{LoadOptions, MeshFile, Scene};
 use octrace::shade::World;
 use octrace::{Error, Result, open_or_build};
 
+use aovs::AovFile;
 use cli::args::{Common, StatsFile};
 use cli::{Arguments, Session};
 use place::{InputKind, Place};
@@ -61,6 +63,10 @@ struct PictureArgs {
     /// Draw only these pixels, counted from the top left corner; X1 and Y1 are not included
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = cli::args::pixels)]
     crop: Option<[u32; 4]>,
+    /// Write a picture of data too, as .exr (the numbers) or .png (false colours); NAME is depth, normal, position, face,
+    /// material, shadow, cost (nodes and leaves visited) or pages (entered); may be repeated
+    #[arg(long, value_name = "NAME=FILE", value_parser = aovs::parse)]
+    aov: Vec<AovFile>,
 }
 
 const EXAMPLES: &str = "\
@@ -72,6 +78,7 @@ Examples:
   octrender scenes/mirror_room.txt -o room.png --size 1920x1080 --samples 16
   octrender scene.txt -o light.exr                    linear light, unclamped
   octrender scene.txt --crop 400,300,500,400 --samples 64 -o detail.png
+  octrender scene.txt --aov depth=depth.exr --aov cost=cost.png
 ";
 
 impl Arguments for Args {
@@ -90,10 +97,11 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if place == Place::Stdout {
         args.stats.not_stdout("the picture")?;
     }
+    aovs::check(&args.picture.aov, &place, &args.input)?;
     let tonemap = scene.tonemap;
     let meshes = scene.meshes.iter().map(|mesh| open(mesh, args, session)).collect::<Result<Vec<_>>>()?;
     let world = World::new(scene, meshes.clone(), session.monitor())?;
-    let PictureArgs { size, samples, depth, crop } = args.picture;
+    let PictureArgs { size, samples, depth, crop, ref aov } = args.picture;
     let settings = Settings { size, samples, depth, crop, ..Settings::default() };
     let before = cli::stats::cpu_seconds();
     let picture = render::render(&world, &settings, session.monitor())?;
@@ -107,6 +115,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
         Place::File(path) => output::save(&picture.film, path, tonemap)?,
     }
+    aovs::write(aov, &world, &settings, session)?;
     let stats = Stats::new(&picture, trace_cpu_seconds, &meshes);
     session.say(stats.line(&place));
     args.stats.write(&stats)?;

@@ -39,7 +39,7 @@ impl Cell {
     }
 
     /// Its cube in root units, exactly.
-    pub(super) fn bounds(self) -> Bounds {
+    pub fn bounds(self) -> Bounds {
         let side = 1.0 / f64::from(1u32 << self.level);
         let min = DVec3::from_array(self.index.map(f64::from)) * side;
         Bounds { min, max: min + DVec3::splat(side) }
@@ -51,12 +51,12 @@ pub(super) fn octant_of(code: u64, level: u32) -> usize {
     (code >> (3 * (morton::BITS - 1 - level)) & 7) as usize
 }
 
-/// The least cell (level 21) that a triangle belongs to, as a 63-bit Morton code: the one around the centre of its box.
+/// The least cell (level 21) that a triangle (or a part of one) with that box belongs to, as a 63-bit Morton code: the one
+/// around the centre of the box.
 ///
 /// Its leading 3 * level bits name the cell of that level. Places outside the root cube are drawn to its border.
-pub fn cell_of(root: RootCube, triangle: &Triangle) -> u64 {
-    let bounds = Bounds::of(Aabb::from(triangle), root);
-    let grid = bounds.centre() * f64::from(1u32 << morton::BITS);
+pub fn cell_of(root: RootCube, bounds: Aabb) -> u64 {
+    let grid = Bounds::of(bounds, root).centre() * f64::from(1u32 << morton::BITS);
     let last = f64::from((1u32 << morton::BITS) - 1);
     let [x, y, z] = grid.to_array().map(|g| g.clamp(0.0, last) as u32);
     morton::encode(x, y, z)
@@ -141,11 +141,11 @@ mod tests {
 
     #[test]
     fn codes_name_the_cells_around_centres() {
-        let point = |p: [f32; 3]| Triangle { a: p.into(), b: p.into(), c: p.into() };
-        assert_eq!(cell_of(ROOT, &point([0.0; 3])), 0);
-        let code = cell_of(ROOT, &point([0.75, 0.25, 0.5]));
+        let point = |p: [f32; 3]| Aabb { min: p.into(), max: p.into() };
+        assert_eq!(cell_of(ROOT, point([0.0; 3])), 0);
+        let code = cell_of(ROOT, point([0.75, 0.25, 0.5]));
         assert_eq!((octant_of(code, 0), octant_of(code, 1)), (5, 6));
-        assert_eq!(cell_of(ROOT, &point([9.0; 3])), (1 << 63) - 1);
+        assert_eq!(cell_of(ROOT, point([9.0; 3])), (1 << 63) - 1);
         assert_eq!(Cell { level: 2, index: [3, 1, 2] }.code(), code);
     }
 

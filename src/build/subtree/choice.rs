@@ -27,13 +27,13 @@ const GAIN: f64 = 0.9;
 
 /// The best tree over the triangles; `repeats`: whether one may be stored several times.
 pub(super) fn best_tree(triangles: Canonical<'_>, limits: RecordLimits, repeats: bool) -> Binary {
-    let mut list = primitives(triangles);
+    let mut list = triangles.primitives();
     if !mark_large(&mut list) {
         return sah::build(list, 0, triangles, limits);
     }
     let room = list.len() / 100 * ROOM + list.len() % 100 * ROOM / 100;
     drop(list);
-    let whole = || mended(|| sah::build(primitives(triangles), 0, triangles, limits), triangles, limits);
+    let whole = || mended(|| sah::build(triangles.primitives(), 0, triangles, limits), triangles, limits);
     let plain = whole();
     if !repeats {
         return plain;
@@ -41,7 +41,7 @@ pub(super) fn best_tree(triangles: Canonical<'_>, limits: RecordLimits, repeats:
     let bound = GAIN * plain.cost;
     drop(plain);
     let cut = || {
-        let mut list = primitives(triangles);
+        let mut list = triangles.primitives();
         mark_large(&mut list);
         sah::build(list, room, triangles, limits)
     };
@@ -56,11 +56,6 @@ fn mended(build: impl Fn() -> Binary, triangles: Canonical<'_>, limits: RecordLi
         Some(tree) => tree,
         None => build(),
     }
-}
-
-/// Every triangle whole, in canonical order.
-fn primitives(triangles: Canonical<'_>) -> Vec<Primitive> {
-    (0..triangles.order.len() as u32).map(|id| Primitive::new(id, triangles.triangle(id))).collect()
 }
 
 /// Marks the large boxes; whether the mesh is uneven.

@@ -8,7 +8,7 @@
 use glam::Vec3A;
 
 use super::primitive::Span;
-use crate::geometry::Triangle;
+use crate::geometry::{Aabb, Triangle};
 
 /// A plane through space.
 #[derive(Clone, Copy, Debug)]
@@ -60,6 +60,14 @@ impl Cut {
         (span.min[self.axis], span.max[self.axis]) = (self.plane, self.plane);
         span
     }
+}
+
+/// What a plane leaves of a triangle's part within `part` on its low and on its high side, each held by a box within
+/// `part`; `None` where nothing is. Every point of the triangle in `part` lies in one of the boxes, or in both.
+pub fn cut_box(triangle: &Triangle, part: Aabb, axis: usize, plane: f32) -> [Option<Aabb>; 2] {
+    let span = Span { min: part.min.into(), max: part.max.into() };
+    let (low, high) = Cut { axis, plane }.parts(span, triangle);
+    [low, high].map(|span| (!span.is_empty()).then(|| Aabb { min: span.min.into(), max: span.max.into() }))
 }
 
 /// The greatest f32 that is no greater than x.

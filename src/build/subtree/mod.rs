@@ -36,10 +36,12 @@ mod top;
 mod wide;
 
 pub use cell::{Cell, cell_of, overlaps};
+pub use clip::cut_box;
 pub use top::{TopBrick, build_top, top_levels};
+pub(crate) use wide::Bounds;
 
 use crate::format::{LeafUnit, Node, Points, SplitMode};
-use crate::geometry::{RootCube, Triangle};
+use crate::geometry::{Aabb, RootCube, Triangle};
 
 /// A triangle of a brick.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -96,6 +98,9 @@ pub struct Subtree {
 /// ([`overlaps`]); in strict mode the brick is responsible for the part inside the cell only. In sah mode the cell does not matter.
 /// The result is a function of the set of triangles, not of their order or of the number of threads.
 ///
+/// `parts`, if not empty, has a box for each triangle: then the brick is responsible only for what of the triangle lies in that box.
+/// A triangle that was cut may come several times, once for each part. Sah mode only.
+///
 /// `None` if it would take more than `memory` bytes until its page is written. That is looked at in strict mode alone: in the
 /// others it follows from the number of triangles.
 ///
@@ -103,6 +108,7 @@ pub struct Subtree {
 /// Without any triangle, or with 2^32 and more references.
 pub fn build_subtree_within(
     triangles: &[BrickTriangle],
+    parts: &[Aabb],
     cell: Cell,
     root: RootCube,
     options: &SubtreeOptions,
@@ -110,9 +116,11 @@ pub fn build_subtree_within(
 ) -> Option<Subtree> {
     assert!(!triangles.is_empty(), "a brick has at least one triangle");
     assert!(u32::try_from(triangles.len()).is_ok(), "a brick has fewer than 2^32 triangles");
+    assert!(parts.is_empty() || options.split == SplitMode::Sah, "only splits by surface know parts of triangles");
     let sorted = sort(triangles, root);
-    let order: Vec<u32> = sorted.iter().map(|key| key.index).collect();
-    let canonical = sah::Canonical { triangles, order: &order };
+    let mut order: Vec<u32> = sorted.iter().map(|key| key.index).collect();
+    let parts = sah::Part::number(triangles, parts, &mut order);
+    let canonical = sah::Canonical { triangles, order: &order, parts: &parts };
     let limits = record::RecordLimits::new(options.leaf, options.unit);
     let depth = options.depth.min(crate::geometry::morton::BITS);
     let limit = options.cell.max(1);
@@ -138,8 +146,14 @@ pub fn build_subtree_within(
 
 /// The same without a bound.
 #[cfg(test)]
-pub fn build_subtree(triangles: &[BrickTriangle], cell: Cell, root: RootCube, options: &SubtreeOptions) -> Subtree {
-    build_subtree_within(triangles, cell, root, options, u64::MAX).expect("there is no bound")
+pub fn build_subtree(
+    triangles: &[BrickTriangle],
+    parts: &[Aabb],
+    cell: Cell,
+    root: RootCube,
+    options: &SubtreeOptions,
+) -> Subtree {
+    build_subtree_within(triangles, parts, cell, root, options, u64::MAX).expect("there is no bound")
 }
 
 /// A triangle's place in the canonical order.
@@ -153,7 +167,7 @@ struct Key {
 /// The triangles by Morton code, then face; by their bits where even that is the same.
 fn sort(triangles: &[BrickTriangle], root: RootCube) -> Vec<Key> {
     let key = |(index, t): (usize, &BrickTriangle)| Key {
-        code: cell_of(root, &t.triangle),
+        code: cell_of(root, Aabb::from(&t.triangle)),
         face: t.face,
         index: index as u32,
     };

@@ -20,7 +20,7 @@ use super::collapse::{Costs, Plan, levels};
 use super::primitive::{Primitive, Span};
 use super::record::RecordLimits;
 use super::spatial;
-use crate::geometry::Triangle;
+use crate::geometry::{Aabb, Triangle};
 
 /// Lists up to this length are not split, if one record can hold them.
 const TERMINAL: usize = 3;
@@ -71,7 +71,7 @@ pub(super) fn build(
     primitives.resize(count + room, Primitive::NOTHING);
     let mut nodes = Vec::with_capacity(count);
     let root_area = primitives[..count].iter().fold(Span::EMPTY, |all, p| all.union(p.span())).half_area();
-    let splitter = Splitter { triangles, limits, root_area, spatial: room > 0 };
+    let splitter = Splitter { triangles, limits, root_area, spatial: room > 0 || !triangles.parts.is_empty() };
     let cost = splitter.subtree(&mut primitives, count, 0, 0, &mut nodes).0.as_child();
     Binary { nodes, primitives, cost }
 }
@@ -95,14 +95,60 @@ pub(super) fn planned(
 pub(super) struct Canonical<'a> {
     /// The triangles as they came.
     pub triangles: &'a [super::BrickTriangle],
-    /// Their canonical order.
+    /// Their canonical order, each once.
     pub order: &'a [u32],
+    /// The parts that the brick is responsible for, by canonical numbers; empty if all triangles are whole.
+    pub parts: &'a [Part],
+}
+
+/// A part of a triangle that was cut before the brick was made.
+pub(super) struct Part {
+    /// The triangle's canonical number.
+    id: u32,
+    /// The box that holds the part.
+    bounds: Aabb,
+}
+
+impl Part {
+    /// The parts of sorted triangles, whose boxes are `boxes` (all or none); drops from `order` triangles that come again.
+    pub fn number(triangles: &[super::BrickTriangle], boxes: &[Aabb], order: &mut Vec<u32>) -> Vec<Part> {
+        if boxes.is_empty() {
+            return Vec::new();
+        }
+        let mut parts: Vec<Part> = Vec::with_capacity(order.len());
+        let mut distinct = 0;
+        for place in 0..order.len() {
+            let index = order[place];
+            let again = distinct > 0 && triangles[order[distinct - 1] as usize] == triangles[index as usize];
+            if !again {
+                order[distinct] = index;
+                distinct += 1;
+            }
+            parts.push(Part { id: distinct as u32 - 1, bounds: boxes[index as usize] });
+        }
+        order.truncate(distinct);
+        // Parts of a triangle stand as the input had them; which comes first must not matter.
+        let place = |part: &Part| (part.id, [part.bounds.min, part.bounds.max].map(super::record::bits));
+        parts.sort_unstable_by_key(place);
+        parts
+    }
 }
 
 impl<'a> Canonical<'a> {
     /// The triangle with canonical number `id`.
     pub fn triangle(&self, id: u32) -> &'a Triangle {
         &self.triangles[self.order[id as usize] as usize].triangle
+    }
+
+    /// What is to be built: every triangle, or every part, in canonical order.
+    pub fn primitives(&self) -> Vec<Primitive> {
+        let whole = |id: u32| Primitive::new(id, self.triangle(id));
+        if self.parts.is_empty() {
+            return (0..self.order.len() as u32).map(whole).collect();
+        }
+        let part =
+            |&Part { id, bounds }: &Part| whole(id).within(Span { min: bounds.min.into(), max: bounds.max.into() });
+        self.parts.iter().map(part).collect()
     }
 }
 
@@ -112,7 +158,7 @@ struct Splitter<'a> {
     limits: RecordLimits,
     /// Half the surface of the whole.
     root_area: f64,
-    /// Whether there is any room, so that spatial splits are to be tried.
+    /// Whether there is any room, so that spatial splits are to be tried, or there are parts already.
     spatial: bool,
 }
 

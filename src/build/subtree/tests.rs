@@ -24,7 +24,7 @@ fn root_of(triangles: &[BrickTriangle]) -> RootCube {
 
 /// A whole mesh as one brick.
 fn whole(triangles: &[BrickTriangle], options: &SubtreeOptions) -> Subtree {
-    build_subtree(triangles, Cell::ROOT, root_of(triangles), options)
+    build_subtree(triangles, &[], Cell::ROOT, root_of(triangles), options)
 }
 
 fn triangle(p: [[f32; 3]; 3]) -> Triangle {
@@ -173,7 +173,7 @@ fn check_all_modes(triangles: &[BrickTriangle]) {
         for (leaf, cell, unit) in [(16, 16, LeafUnit::B16), (3, 8, LeafUnit::B32), (1, usize::MAX, LeafUnit::B16)] {
             for repeats in [false, true] {
                 let options = SubtreeOptions { leaf, cell, unit, repeats, ..options(split) };
-                check(triangles, root, &options, &build_subtree(triangles, Cell::ROOT, root, &options));
+                check(triangles, root, &options, &build_subtree(triangles, &[], Cell::ROOT, root, &options));
             }
         }
     }
@@ -462,7 +462,7 @@ fn strict_bricks_cover_together() {
             continue;
         }
         let brick: Vec<BrickTriangle> = inside.iter().map(|&i| mesh[i as usize]).collect();
-        let subtree = build_subtree(&brick, cell, root, &options);
+        let subtree = build_subtree(&brick, &[], cell, root, &options);
         let [min, max] = subtree.bounds_root.map(DVec3::from_array);
         let Bounds { min: low, max: high } = cell.bounds();
         assert!(min.cmpge(low).all() && max.cmple(high).all(), "a brick answers for its cell alone");
@@ -501,6 +501,6 @@ proptest! {
         let unit = if wide { LeafUnit::B32 } else { LeafUnit::B16 };
         let options = SubtreeOptions { split: MODES[mode], leaf, cell, depth, unit, points, repeats };
         let root = root_of(&mesh);
-        check(&mesh, root, &options, &build_subtree(&mesh, Cell::ROOT, root, &options));
+        check(&mesh, root, &options, &build_subtree(&mesh, &[], Cell::ROOT, root, &options));
     }
 }

@@ -5,7 +5,6 @@
 //! table, JSON, and a plot as SVG and PNG.
 
 mod contender;
-mod drawing;
 mod plot;
 mod rays;
 mod report;

@@ -1,7 +1,7 @@
 //! The plot: share of wrong rays to the right, speed upward, both by powers of ten; a colour a tracer, a mark a set of rays.
 
-use super::drawing::{Anchor, Drawing, Mark, Rgb, Text};
 use super::report::Row;
+use octrace::output::drawing::{Anchor, Drawing, Mark, Rgb, Text};
 
 const SIZE: [f32; 2] = [900.0, 470.0];
 /// The axes' box: left, right, top, bottom.

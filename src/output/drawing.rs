@@ -5,13 +5,15 @@
 
 use std::fmt::Write as _;
 
+use image::RgbImage;
 use image::codecs::png::{CompressionType, FilterType, PngEncoder};
-use octrace::{Error, Result};
 use tiny_skia::{Color, FillRule, LineCap, LineJoin, Paint, Path, PathBuilder, Pixmap, Stroke, Transform};
 use ttf_parser::{Face, GlyphId, OutlineBuilder};
 
+use crate::error::{Error, Result};
+
 /// Pixels of the PNG for one of the SVG.
-const SCALE: f32 = 2.0;
+pub const SCALE: f32 = 2.0;
 /// How high a raised exponent stands above the line, in parts of the font's size.
 const RAISED: f32 = 0.4;
 /// The size of an exponent, in parts of the font's size.
@@ -63,6 +65,7 @@ pub struct Text {
 
 enum Shape {
     Line { points: Vec<[f32; 2]>, color: Rgb, width: f32 },
+    Area { corners: [[f32; 2]; 2], color: Rgb },
     Mark { at: [f32; 2], mark: Mark, radius: f32, color: Rgb, filled: bool },
     Text(Text),
 }
@@ -82,6 +85,11 @@ impl Drawing {
     /// A line through points.
     pub fn line(&mut self, points: &[[f32; 2]], color: Rgb, width: f32) {
         self.shapes.push(Shape::Line { points: points.to_vec(), color, width });
+    }
+
+    /// A filled rectangle between two opposite corners.
+    pub fn area(&mut self, corners: [[f32; 2]; 2], color: Rgb) {
+        self.shapes.push(Shape::Area { corners, color });
     }
 
     /// A mark, filled or hollow.
@@ -111,6 +119,9 @@ impl Drawing {
                         path_data(points)
                     );
                 }
+                Shape::Area { corners, color } => {
+                    let _ = writeln!(svg, "<path d=\"{}Z\" fill=\"{}\"/>", path_data(&outline(*corners)), hex(*color));
+                }
                 Shape::Mark { at, mark, radius, color, filled } => {
                     let color = hex(*color);
                     let fill = if *filled { &color } else { "#fff" };
@@ -128,8 +139,19 @@ impl Drawing {
     }
 
     /// As PNG.
+    ///
+    /// Fails only where memory does not suffice to encode it.
     pub fn png(&self) -> Result<Vec<u8>> {
-        let [width, height] = self.size.map(|x| (x * SCALE).round() as u32);
+        let failed = |e| Error::Option(format!("cannot write the plot as PNG: {e}"));
+        let mut png = Vec::new();
+        let encoder = PngEncoder::new_with_quality(&mut png, CompressionType::Best, FilterType::Adaptive);
+        self.picture().write_with_encoder(encoder).map_err(failed)?;
+        Ok(png)
+    }
+
+    /// As pixels, [`SCALE`] of them for one of the drawing.
+    pub fn picture(&self) -> RgbImage {
+        let [width, height] = self.size.map(|x| ((x * SCALE).round() as u32).max(1));
         let mut pixels = Pixmap::new(width, height).expect("the drawing has a size");
         pixels.fill(Color::WHITE);
         let face = Face::parse(epaint_default_fonts::UBUNTU_LIGHT, 0).expect("the font is whole");
@@ -138,6 +160,7 @@ impl Drawing {
                 Shape::Line { points, color, width } => {
                     stroke(&mut pixels, polyline(points, false), *color, *width);
                 }
+                Shape::Area { corners, color } => fill(&mut pixels, polyline(&outline(*corners), true), *color),
                 Shape::Mark { at, mark, radius, color, filled } => {
                     let path = match mark {
                         Mark::Circle => PathBuilder::from_circle(at[0], at[1], *radius),
@@ -149,12 +172,8 @@ impl Drawing {
                 Shape::Text(text) => fill(&mut pixels, text.outline(&face), INK),
             }
         }
-        let failed = |e: &dyn std::fmt::Display| Error::Option(format!("cannot write the plot as PNG: {e}"));
-        let image = image::RgbaImage::from_raw(width, height, pixels.take()).ok_or_else(|| failed(&"wrong size"))?;
-        let mut png = Vec::new();
-        let encoder = PngEncoder::new_with_quality(&mut png, CompressionType::Best, FilterType::Adaptive);
-        image::DynamicImage::from(image).into_rgb8().write_with_encoder(encoder).map_err(|e| failed(&e))?;
-        Ok(png)
+        let opaque = pixels.data().chunks_exact(4).flat_map(|p| [p[0], p[1], p[2]]).collect();
+        RgbImage::from_raw(width, height, opaque).expect("three bytes a pixel")
     }
 }
 
@@ -267,6 +286,11 @@ fn corners(mark: Mark, [x, y]: [f32; 2], r: f32) -> Vec<[f32; 2]> {
     }
 }
 
+/// All corners of a rectangle.
+fn outline([[x0, y0], [x1, y1]]: [[f32; 2]; 2]) -> [[f32; 2]; 4] {
+    [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
+}
+
 fn path_data(points: &[[f32; 2]]) -> String {
     let step = |(i, [x, y]): (usize, &[f32; 2])| format!("{}{x:.2} {y:.2}", if i == 0 { 'M' } else { 'L' });
     points.iter().enumerate().map(step).collect()
@@ -313,6 +337,7 @@ mod tests {
     fn sample() -> Drawing {
         let mut drawing = Drawing::new([100.0, 60.0]);
         drawing.line(&[[0.0, 30.0], [100.0, 30.0]], [255, 0, 0], 4.0);
+        drawing.area([[90.0, 5.0], [98.0, 20.0]], [9, 8, 7]);
         drawing.mark([20.0, 15.0], Mark::Square, 8.0, [0, 0, 255], true);
         drawing.mark([50.0, 15.0], Mark::Circle, 8.0, [0, 128, 0], false);
         let text = |text: &str, anchor, at| Text {
@@ -336,7 +361,7 @@ mod tests {
         assert_eq!(picture.dimensions(), (200, 120));
         let at = |x: f32, y: f32| picture.get_pixel((x * SCALE) as u32, (y * SCALE) as u32).0;
         assert_eq!(at(80.0, 30.0), [255, 0, 0]);
-        assert_eq!(at(20.0, 15.0), [0, 0, 255]);
+        assert_eq!((at(20.0, 15.0), at(94.0, 12.0)), ([0, 0, 255], [9, 8, 7]));
         // Hollow: white within, coloured at the edge.
         assert_eq!((at(50.0, 15.0), at(58.0, 15.0)), ([255; 3], [0, 128, 0]));
         let inked = |x0: u32, x1: u32| (x0..x1).any(|x| (76..118).any(|y| picture.get_pixel(x, y).0[0] < 100));

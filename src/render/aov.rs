@@ -1,0 +1,197 @@
+//! Arbitrary output variables (the name is RenderMan's, Apodaca and Gritz, "Advanced RenderMan", 2000): pictures of depth, normals,
+//! ids, shadows and of the work that a pixel costs. They are made in a pass of their own, and only if asked for: the picture itself pays nothing.
+
+use std::sync::Mutex;
+
+use rayon::prelude::*;
+
+use super::tiles::{Job, Settings};
+use crate::error::{Error, Result};
+use crate::event::Monitor;
+use crate::shade::{Look, Wave, World};
+
+/// What a picture of data shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum AovKind {
+    /// Distance from the eye, in units of the world; infinite where nothing is met.
+    Depth,
+    /// Unit normal that is shaded with, on the side that is seen; zero where nothing is met.
+    Normal,
+    /// Point in the world; zero where nothing is met.
+    Position,
+    /// Face of the mesh that is seen; [`u32::MAX`] where there is none.
+    Face,
+    /// Material, as [`Look::material`] counts; [`u32::MAX`] where nothing is met.
+    Material,
+    /// Nodes and leaves visited for the pixel, by all samples and all rays that they give rise to, each alone.
+    Cost,
+    /// Pages entered for the pixel, likewise; a page counts each time a ray enters it.
+    Pages,
+    /// Share of the lights that do not reach what is seen, 0 to 1.
+    Shadow,
+}
+
+/// A picture of data.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Aov {
+    /// What it shows.
+    pub kind: AovKind,
+    /// Width in pixels.
+    pub width: u32,
+    /// Height in pixels.
+    pub height: u32,
+    /// Pixels, rows from the top.
+    pub values: Values,
+}
+
+/// Pixels of a picture of data.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// A number a pixel.
+    Scalar(Vec<f32>),
+    /// A vector a pixel.
+    Vector(Vec<[f32; 3]>),
+    /// An id a pixel; [`u32::MAX`] for none.
+    Id(Vec<u32>),
+}
+
+impl AovKind {
+    /// All, in the order in which they are told to users.
+    pub const ALL: [AovKind; 8] = [
+        AovKind::Depth,
+        AovKind::Normal,
+        AovKind::Position,
+        AovKind::Face,
+        AovKind::Material,
+        AovKind::Cost,
+        AovKind::Pages,
+        AovKind::Shadow,
+    ];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            AovKind::Depth => "depth",
+            AovKind::Normal => "normal",
+            AovKind::Position => "position",
+            AovKind::Face => "face",
+            AovKind::Material => "material",
+            AovKind::Cost => "cost",
+            AovKind::Pages => "pages",
+            AovKind::Shadow => "shadow",
+        }
+    }
+
+    /// The one of that name.
+    pub fn named(name: &str) -> Option<AovKind> {
+        AovKind::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// Whether it needs what the middle of a pixel sees; the others count work.
+    fn looks(self) -> bool {
+        !matches!(self, AovKind::Cost | AovKind::Pages)
+    }
+
+    /// Values for so many pixels.
+    fn values(self, count: usize) -> Result<Values> {
+        let refuse = |_| Error::Option(format!("memory does not suffice for a picture of {}", self.name()));
+        Ok(match self {
+            AovKind::Normal | AovKind::Position => Values::Vector(filled(count, [0.0; 3]).map_err(refuse)?),
+            AovKind::Face | AovKind::Material => Values::Id(filled(count, u32::MAX).map_err(refuse)?),
+            AovKind::Depth => Values::Scalar(filled(count, f32::INFINITY).map_err(refuse)?),
+            AovKind::Cost | AovKind::Pages | AovKind::Shadow => Values::Scalar(filled(count, 0.0).map_err(refuse)?),
+        })
+    }
+}
+
+fn filled<T: Clone>(count: usize, value: T) -> Result<Vec<T>, std::collections::TryReserveError> {
+    let mut values = Vec::new();
+    values.try_reserve_exact(count)?;
+    values.resize(count, value);
+    Ok(values)
+}
+
+/// Pictures of data of a world, one for each of `kinds`, on the threads of the current rayon pool.
+///
+/// All but cost and pages are of one ray through the middle of each pixel, whatever the number of samples. Fails for settings
+/// that make no picture, for a damaged page or a failed read, and with [`Error::Interrupted`].
+pub fn aovs(world: &World, settings: &Settings, kinds: &[AovKind], monitor: Monitor<'_>) -> Result<Vec<Aov>> {
+    let job = Job::new(world, settings)?;
+    let (width, height) = (job.width, job.height);
+    monitor.phase("aov");
+    let count = width as usize * height as usize;
+    let aov = |&kind: &AovKind| Ok(Aov { kind, width, height, values: kind.values(count)? });
+    let done = Mutex::new((kinds.iter().map(aov).collect::<Result<Vec<_>>>()?, 0u64));
+    (0..height).into_par_iter().try_for_each_init(
+        || Desk { wave: Wave::new(job.depth), looks: Vec::new(), work: Vec::new() },
+        |desk, y| {
+            if monitor.stopped() {
+                return Err(Error::Interrupted);
+            }
+            desk.row(&job, y, kinds)?;
+            world.fault()?;
+            let (aovs, rows) = &mut *done.lock().unwrap_or_else(|poison| poison.into_inner());
+            aovs.iter_mut().for_each(|aov| desk.put(aov, y as usize * width as usize));
+            *rows += 1;
+            monitor.progress(*rows, Some(height.into()), "rows");
+            Ok(())
+        },
+    )?;
+    Ok(done.into_inner().unwrap_or_else(|poison| poison.into_inner()).0)
+}
+
+/// What one thread works with: a row of pixels.
+struct Desk {
+    wave: Wave,
+    looks: Vec<Option<Look>>,
+    /// Nodes and leaves, and pages.
+    work: Vec<[f32; 2]>,
+}
+
+impl Desk {
+    /// Finds what a row of pixels shows.
+    fn row(&mut self, job: &Job<'_>, y: u32, kinds: &[AovKind]) -> Result<()> {
+        let Desk { wave, looks, work } = self;
+        if kinds.iter().any(|kind| kind.looks()) {
+            wave.clear();
+            (0..job.width).for_each(|x| wave.add(job.middle(x, y)));
+            job.world.look(wave, kinds.contains(&AovKind::Shadow), looks)?;
+        }
+        if kinds.iter().all(|kind| kind.looks()) {
+            return Ok(());
+        }
+        work.clear();
+        for x in 0..job.width {
+            let before = wave.work();
+            for s in 0..job.k * job.k {
+                job.world.color(job.sample(x, y, s), wave)?;
+            }
+            let after = wave.work();
+            let visits = (after.nodes - before.nodes) + (after.leaves - before.leaves);
+            work.push([visits as f32, (after.bricks - before.bricks) as f32]);
+        }
+        Ok(())
+    }
+
+    /// Writes it to a picture, from pixel `first` on.
+    fn put(&self, aov: &mut Aov, first: usize) {
+        let looks = self.looks.iter().zip(first..).filter_map(|(look, i)| Some((i, look.as_ref()?)));
+        let kind = aov.kind;
+        match (&mut aov.values, kind) {
+            (Values::Scalar(to), AovKind::Cost) => {
+                to.iter_mut().skip(first).zip(&self.work).for_each(|(v, w)| *v = w[0])
+            }
+            (Values::Scalar(to), AovKind::Pages) => {
+                to.iter_mut().skip(first).zip(&self.work).for_each(|(v, w)| *v = w[1])
+            }
+            (Values::Scalar(to), AovKind::Depth) => looks.for_each(|(i, look)| to[i] = look.depth as f32),
+            (Values::Scalar(to), _) => looks.for_each(|(i, look)| to[i] = look.shadow),
+            (Values::Vector(to), AovKind::Normal) => {
+                looks.for_each(|(i, look)| to[i] = look.normal.as_vec3().to_array())
+            }
+            (Values::Vector(to), _) => looks.for_each(|(i, look)| to[i] = look.point.as_vec3().to_array()),
+            (Values::Id(to), AovKind::Face) => looks.for_each(|(i, look)| to[i] = look.face.0),
+            (Values::Id(to), _) => looks.for_each(|(i, look)| to[i] = look.material),
+        }
+    }
+}
