@@ -224,7 +224,10 @@ impl Place {
     fn build(&self, mesh: &Path, read: &ReadOptions, memory: u64, source: Source, monitor: Monitor<'_>) -> Result<()> {
         let name = Some(mesh.to_owned());
         let options = BuildOptions { origin: read.origin, name, memory, ..BuildOptions::default() };
-        build(mesh::open(mesh, read)?.as_mut(), &self.octree, &options, monitor)?;
+        let material_memory = options.material_memory().min(read.material_memory);
+        let read = ReadOptions { material_memory, ..*read };
+        let read = read.within(options.reading_memory(), rayon::current_num_threads());
+        build(mesh::open(mesh, &read)?.as_mut(), &self.octree, &options, monitor)?;
         let header = header_checksum(&self.octree).unwrap_or_default();
         let key = Key { key_of: KEY_OF.into(), format: VERSION, source, header };
         self.write_key(&key).map_err(Error::io(&self.key, "write"))

@@ -14,6 +14,9 @@ pub enum Event {
     Phase {
         /// Its name, lower case ("scan", "join", "render").
         name: &'static str,
+        /// Where in the whole work it is likely to begin and end, from 0 to 1, by the time that it takes; `None` where that
+        /// cannot be told.
+        part: Option<[f64; 2]>,
     },
     /// How far the current phase is.
     Progress {
@@ -59,7 +62,12 @@ impl<'a> Monitor<'a> {
 
     /// Announces a phase.
     pub fn phase(&self, name: &'static str) {
-        self.send(Event::Phase { name });
+        self.send(Event::Phase { name, part: None });
+    }
+
+    /// Announces a phase that is a known part of the whole.
+    pub fn phase_of(&self, name: &'static str, part: Option<[f64; 2]>) {
+        self.send(Event::Phase { name, part });
     }
 
     /// Reports progress.

@@ -27,15 +27,19 @@ impl Random {
     }
 }
 
-/// Builds with 64 MiB and with 1 GiB: both stay below, and give the same bytes; the statistics of the first.
 fn check(name: &str, obj: String) -> serde_json::Value {
+    check_with(name, obj, &[])
+}
+
+/// Builds with 64 MiB and with 1 GiB: both stay below, and give the same bytes; the statistics of the first.
+fn check_with(name: &str, obj: String, flags: &[&str]) -> serde_json::Value {
     let lab = Lab::new();
     let input = format!("{name}.obj");
     lab.write(&input, obj);
     for (memory, bytes, out) in [("64M", 64u64 << 20, "small.oct"), ("1G", 1 << 30, "large.oct")] {
         let stats = format!("{memory}.json");
         let line = [&input, "-o", out, "--memory", memory, "--threads", "2", "--stats", &stats, "-q"];
-        lab.done("octbuild", &line);
+        lab.done("octbuild", &[&line, flags].concat());
         let peak = lab.json(&stats)["peak_rss_bytes"].as_u64().unwrap();
         println!("{name}, {memory}: peak {} KiB", peak >> 10);
         assert!(peak <= bytes, "{name}: {peak} bytes are above {memory}");
@@ -165,7 +169,7 @@ fn a_face_of_very_many_corners() {
         writeln!(obj, "v {} {} {}", i % 10, i / 10 % 10, i / 100).unwrap();
     }
     obj += "f";
-    (0..900_000).for_each(|i| write!(obj, " {}", (i * i % 1009 + i) % 1000 + 1).unwrap());
+    (0..900_000u64).for_each(|i| write!(obj, " {}", (i * i % 1009 + i) % 1000 + 1).unwrap());
     obj += "\nf 1 2 11\n";
     let stats = check("polygon", obj);
     assert_eq!((stats["source_triangles"].as_u64(), stats["polygons"]["fanned"].as_u64()), (Some(899_999), Some(1)));
@@ -183,13 +187,53 @@ fn a_line_too_long_for_the_memory_is_told() {
 #[test]
 fn very_many_materials() {
     let lab = Lab::new();
-    let mut obj = String::from("v 0 0 0\nv 1 0 0\nv 0 1 0\n");
-    (0..200_000).for_each(|i| writeln!(obj, "usemtl material_{i}\nf 1 2 3").unwrap());
+    let mut obj = String::from("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n");
+    let mut mtl = String::new();
+    for i in 0..200_000 {
+        writeln!(obj, "usemtl material_{i}\nf 1 2 3").unwrap();
+        writeln!(mtl, "newmtl material_{i}\nKd 0.5 0.5 0.{i}\nNs 10\nillum 2").unwrap();
+    }
     lab.write("a.obj", obj);
+    lab.write("a.mtl", mtl);
     let error = lab.fails(2, "octbuild", &["a.obj", "-o", "a.oct", "--memory", "64M"]);
-    assert!(error.contains("materials") && error.contains("allow more"), "{error}");
+    assert!(error.contains("materials") && error.contains("allow more (about 1 KiB for each)"), "{error}");
     lab.done("octbuild", &["a.obj", "-o", "a.oct", "--memory", "256M", "--stats", "s.json", "-q"]);
-    assert!(lab.json("s.json")["peak_rss_bytes"].as_u64().unwrap() <= 256 << 20);
+    let peak = lab.json("s.json")["peak_rss_bytes"].as_u64().unwrap();
+    assert!(peak <= 256 << 20, "{peak}");
+    lab.done("octinfo", &["a.oct", "--verify"]);
+}
+
+/// Needles in all directions, some of them long: in a strict octree each is in very many cells.
+fn needles(n: usize) -> String {
+    let (mut random, mut obj) = (Random(6), String::new());
+    for i in 0..n {
+        let mut number = |size: f64| (random.below(200_001) as f64 * 1e-5 - 1.0) * size;
+        let (x, y, z) = (number(1.0), number(1.0), number(1.0));
+        let size = if i % 50 == 0 { 0.5 } else { 0.01 };
+        writeln!(obj, "v {x} {y} {z}\nv {} {} {z}", x + size, y + 1e-5).unwrap();
+        writeln!(obj, "v {x} {} {}\nf -3 -2 -1", y + number(size), z + number(size)).unwrap();
+    }
+    obj
+}
+
+#[test]
+fn strict_octrees() {
+    check_with(
+        "strict",
+        strip(400_000, false, |faces| Random(7).shuffle(faces)),
+        &["--split", "strict", "--cell", "4"],
+    );
+    check_with("strict_needles", needles(150_000), &["--split", "strict", "--brick", "4096"]);
+}
+
+#[test]
+fn a_strict_page_too_large_for_the_memory_is_told() {
+    let lab = Lab::new();
+    lab.write("a.obj", needles(150_000));
+    let line = ["a.obj", "-o", "a.oct", "--threads", "2", "--split", "strict", "--cell", "1", "--memory", "64M"];
+    let error = lab.fails(2, "octbuild", &line);
+    assert!(error.contains("strict octree") && error.contains("allow more"), "{error}");
+    assert_eq!(lab.files(), ["a.obj"]);
 }
 
 #[test]

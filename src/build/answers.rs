@@ -7,8 +7,9 @@
 
 use rayon::prelude::*;
 
+use super::blocks::FaceView;
 use super::distribute::Extent;
-use super::faces::{FaceView, Faces};
+use super::faces::Faces;
 use super::spool::Spool;
 use super::table::{Kind, Table};
 use super::words::Words;

@@ -12,7 +12,7 @@ use crate::mesh::NO_INDEX;
 use super::chunk::BrickList;
 use super::options::BuildOptions;
 use super::record::Layout;
-use super::subtree::{BrickTriangle, Subtree, SubtreeOptions, TopBrick, build_subtree, surrogates};
+use super::subtree::{BrickTriangle, Subtree, SubtreeOptions, TopBrick, build_subtree_within, surrogates};
 
 /// What all bricks of a file share.
 pub(super) struct BrickBuilder<'a> {
@@ -44,8 +44,8 @@ pub(super) struct BuiltBrick {
 }
 
 impl BrickBuilder<'_> {
-    /// Builds the page of a brick whose records lie in `words`.
-    pub fn build(&self, page: PageId, brick: &BrickList, words: &[u32]) -> Result<BuiltBrick> {
+    /// Builds the page of a brick whose records lie in `words`; `None` if it is a strict one that takes more than `memory` bytes.
+    pub fn build(&self, page: PageId, brick: &BrickList, words: &[u32], memory: u64) -> Result<Option<BuiltBrick>> {
         let record = |place: u32| {
             let at = place as usize * self.layout.words();
             &words[at..at + self.layout.words()]
@@ -60,7 +60,8 @@ impl BrickBuilder<'_> {
             true => brick.records.iter().map(|&place| self.layout.bounds(record(place))).collect(),
             false => Vec::new(),
         };
-        let subtree = build_subtree(&triangles, &parts, cell, self.root, &self.subtree_options());
+        let subtree = build_subtree_within(&triangles, &parts, cell, self.root, &self.subtree_options(), memory);
+        let Some(subtree) = subtree else { return Ok(None) };
         let mut side = self.side_arrays(subtree.order.iter().map(|&i| record(brick.records[i as usize])));
         if self.options.lod {
             let material = |i: u32| self.layout.material(record(brick.records[i as usize])).unwrap_or(0);
@@ -74,7 +75,7 @@ impl BrickBuilder<'_> {
             Error::Option(format!("a page of {references} triangles would pass 4 GiB; give a smaller --brick"))
         })?;
         let packed = self.options.compress.map(|level| pack(&page, level)).transpose();
-        Ok(BuiltBrick {
+        Ok(Some(BuiltBrick {
             packed: packed.map_err(Error::io("memory", "pack a page in"))?,
             page,
             top: TopBrick { cell, bounds_root },
@@ -86,7 +87,7 @@ impl BrickBuilder<'_> {
             depth,
             normals: !side.normal_corners.is_empty(),
             texcoords: !side.texcoord_corners.is_empty(),
-        })
+        }))
     }
 
     fn subtree_options(&self) -> SubtreeOptions {

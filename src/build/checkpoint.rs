@@ -1,7 +1,7 @@
 //! What a build notes on its way, so that it can go on after it was killed.
 //!
 //! The work folder holds a `state` file, written anew (and renamed) when a phase ends: what the source and the options
-//! are, and all that the next phases need beside the spools. While pages are written, a `pages` file grows by an entry
+//! are, and all that the next phases need beside the spools ([`super::scanned`] for the scan). While pages are written, a `pages` file grows by an entry
 //! a page, and `progress` says how many chunks, and so how many entries, are whole. Nothing is synced: after a kill the system still has
 //! what was written. After a restart of the machine that does not hold, so the state names the boot it belongs to.
 
@@ -18,6 +18,7 @@ use super::join::Tally;
 use super::options::BuildOptions;
 use super::record::Layout;
 use super::report::Polygons;
+use super::scanned::ScannedState;
 use super::work::WorkFolder;
 use crate::error::{Error, Result};
 use crate::format::{Brick, Dropped, PageRecord, VERSION};
@@ -28,11 +29,22 @@ use crate::mesh::MaterialInfo;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
     key: Key,
-    pub joined: JoinedState,
-    /// Whether records stand for parts of triangles: then they lie in the spool of that name.
-    pub parts: bool,
-    /// The chunks, if the records were sorted into some.
-    pub chunks: Option<Vec<ChunkState>>,
+    pub reached: Reached,
+}
+
+/// How far the build is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) enum Reached {
+    /// The source is read.
+    Scanned(ScannedState),
+    /// The triangles are joined.
+    Joined {
+        joined: JoinedState,
+        /// Whether records stand for parts of triangles: then they lie in the spool of that name.
+        parts: bool,
+        /// The chunks, if the records were sorted into some.
+        chunks: Option<Vec<ChunkState>>,
+    },
 }
 
 /// What must be the same for a build to go on.
@@ -64,7 +76,8 @@ pub(super) struct JoinedState {
 }
 
 /// Name, Ka, Kd, Ks, Ns, Ni, d, illum, map_Kd.
-type MaterialState = (String, [Option<[u32; 3]>; 3], [Option<u32>; 3], Option<u32>, Option<std::path::PathBuf>);
+pub(super) type MaterialState =
+    (String, [Option<[u32; 3]>; 3], [Option<u32>; 3], Option<u32>, Option<std::path::PathBuf>);
 
 /// Units (level, code, triangles) and extents (place, words) of a chunk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -88,9 +101,33 @@ impl Key {
 }
 
 impl State {
-    /// The state after the join; `None` if the source cannot be told from others.
-    pub fn new(options: &BuildOptions, joined: JoinedState) -> Option<State> {
-        Some(State { key: Key::of(options)?, joined, parts: false, chunks: None })
+    /// The state after the scan; `None` if the source cannot be told from others.
+    pub fn scanned(options: &BuildOptions, scanned: ScannedState) -> Option<State> {
+        Some(State { key: Key::of(options)?, reached: Reached::Scanned(scanned) })
+    }
+
+    /// The state after the join, likewise.
+    pub fn joined(options: &BuildOptions, joined: JoinedState) -> Option<State> {
+        Some(State { key: Key::of(options)?, reached: Reached::Joined { joined, parts: false, chunks: None } })
+    }
+
+    /// Whether records stand for parts of triangles.
+    pub fn has_parts(&self) -> bool {
+        matches!(self.reached, Reached::Joined { parts: true, .. })
+    }
+
+    /// Notes that records, so many words of them, stand for parts of triangles from now on.
+    pub fn add_parts(&mut self, words: u64) {
+        if let Reached::Joined { joined, parts, .. } = &mut self.reached {
+            (*parts, joined.record_words) = (true, words);
+        }
+    }
+
+    /// Adds the chunks that the triangles are sorted into.
+    pub fn add_chunks(&mut self, sorted: &[Chunk]) {
+        if let Reached::Joined { chunks, .. } = &mut self.reached {
+            *chunks = Some(sorted.iter().map(ChunkState::of).collect());
+        }
     }
 
     /// What an earlier build of the same source with the same options left.
@@ -110,12 +147,17 @@ impl State {
     }
 }
 
-fn bits(bounds: Aabb) -> [u32; 6] {
+/// Whether materials are few enough for a state, which would be large itself.
+pub(super) fn can_note(materials: &[MaterialInfo]) -> bool {
+    materials.len() <= 1 << 16
+}
+
+pub(super) fn bits(bounds: Aabb) -> [u32; 6] {
     let ([a, b, c], [d, e, f]) = (bounds.min.to_array(), bounds.max.to_array());
     [a, b, c, d, e, f].map(f32::to_bits)
 }
 
-fn bounds(bits: [u32; 6]) -> Aabb {
+pub(super) fn bounds(bits: [u32; 6]) -> Aabb {
     let [a, b, c, d, e, f] = bits.map(f32::from_bits);
     Aabb { min: [a, b, c].into(), max: [d, e, f].into() }
 }
@@ -129,12 +171,6 @@ impl JoinedState {
     ) -> JoinedState {
         let d = tally.dropped;
         let p = tally.polygons;
-        let colour = |c: Option<[f32; 3]>| c.map(|c| c.map(f32::to_bits));
-        let number = |n: Option<f32>| n.map(f32::to_bits);
-        let material = |m: &MaterialInfo| -> MaterialState {
-            let colours = [colour(m.ka), colour(m.kd), colour(m.ks)];
-            (m.name.clone(), colours, [number(m.ns), number(m.ni), number(m.d)], m.illum, m.map_kd.clone())
-        };
         JoinedState {
             layout: [layout.materials, layout.normals, layout.texcoords],
             points,
@@ -149,7 +185,7 @@ impl JoinedState {
             longest: tally.longest.to_bits(),
             bounds: bits(tally.bounds),
             all_bounds: bits(tally.all_bounds),
-            materials: materials.iter().map(material).collect(),
+            materials: states_of(materials),
         }
     }
 
@@ -174,21 +210,37 @@ impl JoinedState {
     }
 
     pub fn materials(&self) -> Vec<MaterialInfo> {
-        let colour = |c: Option<[u32; 3]>| c.map(|c| c.map(f32::from_bits));
-        let number = |n: Option<u32>| n.map(f32::from_bits);
-        let material = |(name, [ka, kd, ks], [ns, ni, d], illum, map_kd): &MaterialState| MaterialInfo {
-            name: name.clone(),
-            ka: colour(*ka),
-            kd: colour(*kd),
-            ks: colour(*ks),
-            ns: number(*ns),
-            ni: number(*ni),
-            d: number(*d),
-            illum: *illum,
-            map_kd: map_kd.clone(),
-        };
-        self.materials.iter().map(material).collect()
+        materials_of(&self.materials)
     }
+}
+
+/// Materials as the state holds them.
+pub(super) fn states_of(materials: &[MaterialInfo]) -> Vec<MaterialState> {
+    let colour = |c: Option<[f32; 3]>| c.map(|c| c.map(f32::to_bits));
+    let number = |n: Option<f32>| n.map(f32::to_bits);
+    let state = |m: &MaterialInfo| -> MaterialState {
+        let colours = [colour(m.ka), colour(m.kd), colour(m.ks)];
+        (m.name.clone(), colours, [number(m.ns), number(m.ni), number(m.d)], m.illum, m.map_kd.clone())
+    };
+    materials.iter().map(state).collect()
+}
+
+/// The inverse of [`states_of`].
+pub(super) fn materials_of(states: &[MaterialState]) -> Vec<MaterialInfo> {
+    let colour = |c: Option<[u32; 3]>| c.map(|c| c.map(f32::from_bits));
+    let number = |n: Option<u32>| n.map(f32::from_bits);
+    let material = |(name, [ka, kd, ks], [ns, ni, d], illum, map_kd): &MaterialState| MaterialInfo {
+        name: name.clone(),
+        ka: colour(*ka),
+        kd: colour(*kd),
+        ks: colour(*ks),
+        ns: number(*ns),
+        ni: number(*ni),
+        d: number(*d),
+        illum: *illum,
+        map_kd: map_kd.clone(),
+    };
+    states.iter().map(material).collect()
 }
 
 impl ChunkState {
@@ -338,21 +390,19 @@ mod tests {
         };
         let joined = JoinedState::new(&tally, layout, [1, 2, 3, 4], &[MaterialInfo::default(), material.clone()]);
         let options = BuildOptions { source: Some("mesh".into()), ..Default::default() };
-        assert!(State::new(&BuildOptions::default(), joined.clone()).is_none());
-        let mut state = State::new(&options, joined).unwrap();
+        assert!(State::joined(&BuildOptions::default(), joined.clone()).is_none());
+        let mut state = State::joined(&options, joined).unwrap();
         let unit = Unit { cell: CellCode { level: 3, code: 77 }, triangles: 9 };
         let chunk = Chunk { units: vec![unit], extents: vec![Extent { at: 1, words: 2 }] };
-        state.chunks = Some(vec![ChunkState::of(&chunk)]);
+        state.add_chunks(&[chunk]);
         state.save(&work).unwrap();
         let again = State::load(&work, &BuildOptions { memory: 1 << 40, ..options.clone() }).unwrap();
         assert_eq!(again, state);
-        assert_eq!(again.chunks.unwrap()[0].chunk().units, [unit]);
-        let back = again.joined.materials().remove(1);
+        let Reached::Joined { joined, chunks: Some(chunks), .. } = again.reached else { panic!("joined and sorted") };
+        assert_eq!(chunks[0].chunk().units, [unit]);
+        let back = joined.materials().remove(1);
         assert_eq!(back.kd.map(|c| c.map(f32::to_bits)), material.kd.map(|c| c.map(f32::to_bits)));
-        assert_eq!(
-            (back.name, back.map_kd, again.joined.tally().bounds.is_empty()),
-            ("red".into(), material.map_kd, true)
-        );
+        assert_eq!((back.name, back.map_kd, joined.tally().bounds.is_empty()), ("red".into(), material.map_kd, true));
         assert!(State::load(&work, &BuildOptions { ids: false, ..options.clone() }).is_none());
         assert!(State::load(&work, &BuildOptions { source: Some("other".into()), ..options }).is_none());
     }

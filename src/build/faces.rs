@@ -8,90 +8,27 @@
 //! A face of more than [`CLIP_LIMIT`] corners is cut as a fan whatever its shape, so that is done at once: blocks stay
 //! small, however many corners a face has. Such faces are listed, since a bad corner drops all of a face.
 
+use serde::{Deserialize, Serialize};
+
 use crate::error::{Error, Result};
 use crate::mesh::{FaceBatch, NO_INDEX};
 
+use super::blocks::{self, Block, LargeFace, LoadedBlock, corners_of, touched, triangles_of};
 use super::polygon::CLIP_LIMIT;
 use super::spool::Spool;
-use super::table::{FEW, Kind, PART};
+use super::table::Kind;
 
-/// Triangles that the fan of a face has, or would have had if it is a gap.
-pub(super) fn triangles_of(size: u32) -> u32 {
-    if size & FaceBatch::GAP != 0 { size & !FaceBatch::GAP } else { size.saturating_sub(2) }
-}
-
-/// Corners of a face; a gap has none.
-pub(super) fn corners_of(size: u32) -> usize {
-    if size & FaceBatch::GAP != 0 { 0 } else { size as usize }
-}
-
-/// Where a block lies and what is in it.
-#[derive(Clone, Debug)]
-struct Block {
-    at: u64,
-    first_id: u32,
-    sizes: usize,
-    corners: usize,
-    texcoords: usize,
-    normals: usize,
-    materials: usize,
-    /// Parts of the tables of positions, texture coordinates and normals that the corners touch; `None` = many.
-    touched: [Option<Box<[u32]>>; 3],
-}
-
-/// A face that was cut as it came: the ids of its triangles.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) struct LargeFace {
-    pub first_id: u32,
-    pub triangles: u32,
-}
-
-/// A block that has been read back.
-pub(super) struct LoadedBlock {
-    words: Vec<u32>,
-    first_id: u32,
-    lengths: [usize; 5],
-}
-
-/// The arrays of a block; as in [`FaceBatch`], but materials lie flat.
-pub(super) struct FaceView<'a> {
-    pub first_id: u32,
-    pub sizes: &'a [u32],
-    pub corners: &'a [u32],
-    pub texcoords: &'a [u32],
-    pub normals: &'a [u32],
-    pub materials: &'a [u32],
-}
-
-impl<'a> FaceView<'a> {
-    /// The numbers that name items of a table, one a corner; empty if no corner has one.
-    pub fn numbers(&self, kind: Kind) -> &'a [u32] {
-        match kind {
-            Kind::Position => self.corners,
-            Kind::Texcoord => self.texcoords,
-            Kind::Normal => self.normals,
-        }
-    }
-}
-
-impl LoadedBlock {
-    pub fn view(&self) -> FaceView<'_> {
-        let [sizes, corners, texcoords, normals, materials] = self.lengths;
-        let mut rest = &self.words[..];
-        let mut take = |n: usize| {
-            let (head, tail) = rest.split_at(n);
-            rest = tail;
-            head
-        };
-        FaceView {
-            first_id: self.first_id,
-            sizes: take(sizes),
-            corners: take(corners),
-            texcoords: take(texcoords),
-            normals: take(normals),
-            materials: take(materials),
-        }
-    }
+/// Counts that a killed build notes of its faces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct FaceCounts {
+    pub blocks: usize,
+    pub large: usize,
+    /// Corners of a block, as it was set then.
+    pub block_corners: usize,
+    corners: u64,
+    ids: u64,
+    too_few_corners: u64,
+    has: [bool; 3],
 }
 
 /// All faces of a mesh.
@@ -137,6 +74,33 @@ impl<'a> Faces<'a> {
         }
     }
 
+    /// The faces that a killed build left, all in `spool`; `None` if `index` does not list them.
+    pub fn reopen(spool: Spool<'a>, index: &Spool<'_>, counts: &FaceCounts) -> Option<Self> {
+        let (blocks, large) = blocks::read(index, counts.blocks, counts.large)?;
+        let [has_materials, has_texcoords, has_normals] = counts.has;
+        let FaceCounts { corners, ids, too_few_corners, block_corners, .. } = *counts;
+        let new = Faces::new(spool, block_corners);
+        Some(Faces { blocks, large, corners, ids, too_few_corners, has_materials, has_texcoords, has_normals, ..new })
+    }
+
+    /// Counts to be noted once all blocks are written.
+    pub fn counts(&self) -> FaceCounts {
+        FaceCounts {
+            blocks: self.blocks.len(),
+            large: self.large.len(),
+            block_corners: self.block_corners,
+            corners: self.corners,
+            ids: self.ids,
+            too_few_corners: self.too_few_corners,
+            has: [self.has_materials, self.has_texcoords, self.has_normals],
+        }
+    }
+
+    /// Writes where the blocks lie to `spool`.
+    pub fn write_index(&self, spool: &mut Spool<'_>) -> Result<()> {
+        blocks::write(&self.blocks, &self.large, spool)
+    }
+
     /// Triangles so far, gaps included.
     pub fn triangles(&self) -> u64 {
         self.ids
@@ -144,6 +108,16 @@ impl<'a> Faces<'a> {
 
     pub fn blocks(&self) -> usize {
         self.blocks.len()
+    }
+
+    /// Whether the blocks are in a file.
+    pub fn is_spilled(&self) -> bool {
+        self.spool.memory().is_none()
+    }
+
+    /// Words of all blocks.
+    pub fn words(&self) -> u64 {
+        self.spool.len()
     }
 
     /// Moves all blocks to a file.
@@ -164,10 +138,9 @@ impl<'a> Faces<'a> {
     /// Reads a block back.
     pub fn load(&self, block: usize) -> Result<LoadedBlock> {
         let block = &self.blocks[block];
-        let lengths = [block.sizes, block.corners, block.texcoords, block.normals, block.materials];
-        let mut words = vec![0; lengths.iter().sum()];
+        let mut words = vec![0; block.lengths.iter().map(|&length| length as usize).sum()];
         self.spool.read(block.at, &mut words)?;
-        Ok(LoadedBlock { words, first_id: block.first_id, lengths })
+        Ok(LoadedBlock { words, first_id: block.first_id, lengths: block.lengths })
     }
 
     /// Takes a batch over, block by block.
@@ -296,17 +269,14 @@ impl<'a> Faces<'a> {
         }
         let mut pending = std::mem::take(&mut self.pending);
         let materials: Vec<u32> = pending.materials.drain(..).flat_map(|(face, material)| [face, material]).collect();
+        let arrays = [&pending.sizes, &pending.corners, &pending.texcoords, &pending.normals, &materials];
         self.blocks.push(Block {
             at: self.spool.len(),
             first_id: self.pending_id as u32,
-            sizes: pending.sizes.len(),
-            corners: pending.corners.len(),
-            texcoords: pending.texcoords.len(),
-            normals: pending.normals.len(),
-            materials: materials.len(),
+            lengths: arrays.map(|array| array.len() as u32),
             touched: [&pending.corners, &pending.texcoords, &pending.normals].map(|numbers| touched(numbers)),
         });
-        for array in [&pending.sizes, &pending.corners, &pending.texcoords, &pending.normals, &materials] {
+        for array in arrays {
             self.spool.append(array)?;
         }
         // The next block starts with the material that holds now.
@@ -314,23 +284,6 @@ impl<'a> Faces<'a> {
         (self.pending_faces, self.pending_id) = (0, self.ids);
         Ok(())
     }
-}
-
-/// The parts of a table that `numbers` touch, if they are few.
-fn touched(numbers: &[u32]) -> Option<Box<[u32]>> {
-    let mut parts: Vec<u32> = Vec::new();
-    let mut last = None;
-    for &number in numbers.iter().filter(|&&number| number != NO_INDEX) {
-        let part = number >> PART;
-        if last.replace(part) != Some(part) && !parts.contains(&part) {
-            if parts.len() == FEW {
-                return None;
-            }
-            parts.push(part);
-        }
-    }
-    parts.sort_unstable();
-    Some(parts.into())
 }
 
 /// Refuses a batch whose arrays do not fit together, which only a wrong reader makes.

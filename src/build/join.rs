@@ -17,7 +17,7 @@ use crate::format::Dropped;
 use crate::geometry::Aabb;
 use crate::mesh::{FaceBatch, NO_INDEX};
 
-use super::faces::{FaceView, LargeFace, LoadedBlock, corners_of, triangles_of};
+use super::blocks::{FaceView, LargeFace, LoadedBlock, corners_of, triangles_of};
 use super::grid::{Grid, Placement};
 use super::options::Tuning;
 use super::polygon::{self, Cut};

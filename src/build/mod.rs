@@ -11,7 +11,7 @@
 //! pages, materials, and a list of face blocks grow with the mesh, by far less than a byte a triangle.
 //!
 //! A build that was killed leaves its work folder and a partial file; [`BuildOptions::resume`] goes on from there
-//! (`checkpoint.rs`).
+//! (`checkpoint.rs`, `scanned.rs`).
 //!
 //! The bricks are true octree cells and depend on the mesh and the options only, never on the size of a chunk or the
 //! number of threads; so the same input gives the same bytes. Work runs on the current rayon pool.
@@ -20,6 +20,7 @@
 //! with triangles for points.
 
 mod answers;
+mod blocks;
 mod brick;
 mod checkpoint;
 mod chunk;
@@ -38,6 +39,7 @@ mod record;
 mod report;
 mod room;
 mod scan;
+mod scanned;
 mod sketch;
 mod snap;
 mod spool;

@@ -83,9 +83,9 @@ impl BuildOptions {
         working_memory(self.memory) / 4
     }
 
-    /// Most materials that leave room for the build: give it to [`crate::mesh::ReadOptions::most_materials`].
-    pub fn most_materials(&self) -> usize {
-        (working_memory(self.memory) / 3 / 300) as usize
+    /// The part of the memory that materials may take: give it to [`crate::mesh::ReadOptions::material_memory`].
+    pub fn material_memory(&self) -> u64 {
+        working_memory(self.memory) / 4
     }
 
     /// [`Error::Option`] for a value out of its range.
@@ -180,8 +180,8 @@ pub(super) struct Tuning {
 impl Tuning {
     /// The sizes for `memory` bytes in all.
     ///
-    /// Of what there is for the build itself (w), the source's reader takes w/4 while scanning; an allocator need not give
-    /// that back, so all else keeps to 3 w/4 at any time. Tables, faces and records that outgrow their share go to files.
+    /// Of what there is for the build itself (w), the source's reader takes w/4 while scanning, and materials as much; an
+    /// allocator need not give that back, so all else keeps to 3 w/4 at any time, to w/2 while scanning. Tables, faces and records that outgrow their share go to files.
     pub fn within(memory: u64, threads: usize) -> Tuning {
         let w = working_memory(memory);
         let words = |bytes: u64| (bytes / 4) as usize;
@@ -214,6 +214,11 @@ impl Tuning {
     pub fn chunk(&self, layout: Layout) -> u64 {
         // A record, its Morton code, and its place in lists that are being split.
         self.chunk_bytes / (4 * layout.words() as u64 + 28)
+    }
+
+    /// Bytes for a chunk and a brick that is built alone.
+    pub fn alone_bytes(&self) -> u64 {
+        self.chunk_bytes + self.wave_bytes + self.wave_bytes / 2
     }
 
     /// Most triangles of bricks that are built at the same time.

@@ -11,7 +11,7 @@ use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, Poi
 use crate::mesh::TriangleSource;
 
 use super::brick::{BrickBuilder, BuiltBrick};
-use super::checkpoint::{ChunkState, PageEntry, PageLog, State};
+use super::checkpoint::{PageEntry, PageLog, State};
 use super::chunk::{BrickList, BrickRule, bricks};
 use super::distribute::{Chunk, Extent, Records, Sorting};
 use super::early::Early;
@@ -22,8 +22,8 @@ use super::phases::Phases;
 use super::record::Layout;
 use super::report::BuildReport;
 use super::spool::Spool;
-use super::subtree::{Cell, TopBrick, build_top, top_levels, top_surrogates};
-use super::triangles::{Mesh, Stage, Triangles, read, taken_up};
+use super::subtree::{BrickTriangle, Cell, TopBrick, build_top, top_levels, top_surrogates};
+use super::triangles::{Left, Mesh, Stage, Triangles, join_all, read, taken_up};
 use super::work::WorkFolder;
 
 /// Builds the octree file `output` from `source`.
@@ -56,16 +56,18 @@ pub(super) fn build_tuned(
     let work = WorkFolder::new(&options.temp_folder(output), output, writer.is_first())?;
     let mut phases = Phases::new(options.memory, monitor);
 
-    let found = if options.resume { taken_up(&work, options) } else { None };
+    let found = if options.resume { taken_up(&work, options, tuning) } else { None };
     if options.resume && found.is_none() {
         monitor.warn("there is no unfinished build of this mesh with these options to go on with; it begins anew");
     }
+    let joined = |scan, phases: &mut _| join_all(scan, (&work, output), options, tuning, phases, monitor);
     let Triangles { mesh, stage, state } = match found {
-        Some(triangles) => triangles,
+        Some(Left::Joined(triangles)) => triangles,
+        Some(Left::Scanned(scan)) => joined(scan, &mut phases)?,
         None => {
             writer.restart()?;
             work.clear()?;
-            read(source, (&work, output), options, tuning, &mut phases, monitor)?
+            joined(read(source, &work, options, tuning, &mut phases, monitor)?, &mut phases)?
         }
     };
     let mut build = Build::new(&mesh, options, tuning, writer, monitor);
@@ -149,7 +151,7 @@ impl<'a> Build<'a> {
         let largest = u64::from(self.rule.limit).min(self.report.triangles);
         // Alone, a brick may have the whole share of a chunk and of a wave, and its records too.
         let needed = largest * alone_bytes(self.layout, self.options.split);
-        let there = self.tuning.chunk_bytes + self.tuning.wave_bytes + self.tuning.wave_bytes / 2;
+        let there = self.tuning.alone_bytes();
         if needed <= there {
             return Ok(());
         }
@@ -190,15 +192,17 @@ impl<'a> Build<'a> {
                         None => self.load(&records, &whole),
                     };
                 }
+                phases.expect_sorting(true);
                 let (spool, chunks) = self.sort(&records, &whole, grid, sorting, (work, 0), phases)?;
                 if let Some(mut state) = state {
-                    state.chunks = Some(chunks.iter().map(ChunkState::of).collect());
+                    state.add_chunks(&chunks);
                     state.save(work)?;
                     self.log = Some(PageLog::create(work)?);
                 }
                 (spool, chunks, 0)
             }
             Stage::Sorted(spool, chunks) => {
+                phases.expect_sorting(true);
                 let done = self.take_up_pages(work)?;
                 (spool, chunks, done)
             }
@@ -222,7 +226,7 @@ impl<'a> Build<'a> {
             tuning: self.tuning,
             monitor: self.monitor,
         };
-        let mut is_cut = state.as_ref().is_some_and(|state| state.parts);
+        let mut is_cut = state.as_ref().is_some_and(State::has_parts);
         if let Stage::Joined(records, _) = &stage
             && !is_cut
             && self.options.ids
@@ -232,7 +236,7 @@ impl<'a> Build<'a> {
             if let Some(mut parts) = early.cut(records, work)? {
                 if let Some(state) = state {
                     parts.spill()?;
-                    (state.parts, state.joined.record_words) = (true, parts.len());
+                    state.add_parts(parts.len());
                     state.save(work)?;
                 }
                 // Only now may the records of whole triangles go.
@@ -349,6 +353,8 @@ impl<'a> Build<'a> {
     fn chunk(&mut self, words: &[u32], units: &[Unit]) -> Result<()> {
         let lists = bricks(words, self.layout, units, self.rule);
         let most = self.tuning.wave(self.layout) as usize;
+        // How large a strict brick becomes does not show before it is built.
+        let bricks = if self.rule.placement.repeats() { rayon::current_num_threads() } else { usize::MAX };
         let mut rest = &lists[..];
         while !rest.is_empty() {
             self.monitor.check()?;
@@ -357,28 +363,50 @@ impl<'a> Build<'a> {
                 sum += list.records.len();
                 sum <= most
             };
-            let wave = rest.iter().take_while(fits).count().max(1);
+            let wave = rest.iter().take(bricks).take_while(fits).count().max(1);
             self.wave(&rest[..wave], words)?;
             rest = &rest[wave..];
         }
         Ok(())
     }
 
+    /// Builds bricks side by side, and from the first on that takes more than its share one after the other.
     fn wave(&mut self, lists: &[BrickList], words: &[u32]) -> Result<()> {
         let first = self.records.len() as u32;
         let (bricks, monitor) = (&self.bricks, self.monitor);
+        let share = self.tuning.wave_bytes / lists.len() as u64;
         let build = |(number, list): (u32, &BrickList)| {
             monitor.check()?;
-            bricks.build(PageId(number), list, words)
+            bricks.build(PageId(number), list, words, share)
         };
         let numbers = first..first + lists.len() as u32;
-        let built: Vec<BuiltBrick> =
+        let built: Vec<Option<BuiltBrick>> =
             numbers.into_par_iter().zip(lists).with_max_len(1).map(build).collect::<Result<_>>()?;
-        built.into_iter().try_for_each(|brick| self.append(brick))?;
+        let mut rest = lists;
+        for brick in built.into_iter().map_while(|brick| brick) {
+            self.append(brick)?;
+            rest = &rest[1..];
+        }
+        rest.iter().try_for_each(|list| self.alone(list, words))?;
         // In strict mode triangles repeat, so that this is only near enough for a bar.
         let done = self.report.references.min(self.report.triangles);
         self.monitor.progress(done, Some(self.report.triangles), "triangles");
         Ok(())
+    }
+
+    /// Builds a brick with all the memory that its chunk leaves.
+    fn alone(&mut self, list: &BrickList, words: &[u32]) -> Result<()> {
+        self.monitor.check()?;
+        let taken = 4 * words.len() + (size_of::<BrickTriangle>() + 20) * list.records.len();
+        let memory = self.tuning.alone_bytes().saturating_sub(taken as u64);
+        match self.bricks.build(PageId(self.records.len() as u32), list, words, memory)? {
+            Some(brick) => self.append(brick),
+            None => Err(Error::Option(format!(
+                "the strict octree of a page of {} triangles does not fit in the memory allowed; allow more, or take larger \
+                 cells (--cell) or smaller pages (--brick)",
+                list.records.len()
+            ))),
+        }
     }
 
     fn append(&mut self, brick: BuiltBrick) -> Result<()> {

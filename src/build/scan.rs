@@ -11,6 +11,7 @@ use crate::mesh::{FaceBatch, MeshSink, SourceInfo, TriangleSource};
 use super::faces::Faces;
 use super::options::{BuildOptions, Tuning};
 use super::record::Layout;
+use super::scanned::SPOOLS;
 use super::spool::Spool;
 use super::table::{Kind, Table};
 use super::work::WorkFolder;
@@ -24,9 +25,11 @@ pub(super) struct Scan<'a> {
     pub info: SourceInfo,
     /// Of all vertices that are finite, used or not.
     pub bounds: Aabb,
+    /// The index of the faces, if what was found is noted.
+    pub index: Option<Spool<'a>>,
 }
 
-impl Scan<'_> {
+impl<'a> Scan<'a> {
     /// What the records of its triangles hold.
     pub fn layout(&self) -> Layout {
         Layout {
@@ -35,6 +38,11 @@ impl Scan<'_> {
             texcoords: self.faces.has_texcoords,
             parts: false,
         }
+    }
+
+    /// The tables.
+    pub fn tables(&mut self) -> [&mut Spool<'a>; 3] {
+        [&mut self.positions.spool, &mut self.texcoords.spool, &mut self.normals.spool]
     }
 
     /// Whether some of the vertex data is in a file.
@@ -59,12 +67,13 @@ pub(super) fn scan<'a>(
 ) -> Result<Scan<'a>> {
     let share = tuning.table_words;
     let scan = Scan {
-        positions: Table::new(Spool::new(work, "positions", share), Kind::Position),
-        texcoords: Table::new(Spool::new(work, "texcoords", share), Kind::Texcoord),
-        normals: Table::new(Spool::new(work, "normals", share), Kind::Normal),
-        faces: Faces::new(Spool::new(work, "faces", tuning.face_words), tuning.block_corners),
+        positions: Table::new(Spool::new(work, SPOOLS[0], share), Kind::Position),
+        texcoords: Table::new(Spool::new(work, SPOOLS[1], share), Kind::Texcoord),
+        normals: Table::new(Spool::new(work, SPOOLS[2], share), Kind::Normal),
+        faces: Faces::new(Spool::new(work, SPOOLS[3], tuning.face_words), tuning.block_corners),
         info: SourceInfo::default(),
         bounds: Aabb::EMPTY,
+        index: None,
     };
     let mut sink = Sink { scan, share, monitor };
     let info = source.read(&mut sink, monitor)?;
@@ -84,9 +93,8 @@ struct Sink<'a, 'm> {
 impl Sink<'_, '_> {
     /// Moves tables to files, the largest first, until the others fit their share of memory.
     fn make_room(&mut self) -> Result<()> {
-        let Scan { positions, texcoords, normals, .. } = &mut self.scan;
         loop {
-            let spools = [&mut positions.spool, &mut texcoords.spool, &mut normals.spool];
+            let spools = self.scan.tables();
             let held = spools.each_ref().map(|spool| spool.memory().map_or(0, <[u32]>::len));
             if held.iter().sum::<usize>() <= self.share {
                 return Ok(());

@@ -17,13 +17,15 @@ pub(super) struct Spool<'a> {
     limit: usize,
     memory: Words,
     file: Option<File>,
+    /// Whether the file holds what is in memory.
+    copied: bool,
     words: u64,
 }
 
 impl<'a> Spool<'a> {
     /// An empty spool that keeps up to `limit` words in memory, and more than that in a file of that name.
     pub fn new(work: &'a WorkFolder, name: impl Into<String>, limit: usize) -> Spool<'a> {
-        Spool { work, name: name.into(), limit, memory: Words::default(), file: None, words: 0 }
+        Spool { work, name: name.into(), limit, memory: Words::default(), file: None, copied: false, words: 0 }
     }
 
     /// The spool of that name which an earlier build left, if it holds at least `words`.
@@ -76,6 +78,26 @@ impl<'a> Spool<'a> {
         Ok(())
     }
 
+    /// Writes what is in memory to the file too, so that it can be opened again; nothing may be appended after that. Says
+    /// how many words there are.
+    pub fn copy_to_file(&mut self) -> Result<u64> {
+        if self.file.is_none() && !self.copied {
+            let file = self.work.create(&self.name)?;
+            self.copied = true;
+            let words = &self.memory[..self.words as usize];
+            write_at(&file, 0, bytemuck::cast_slice(words)).map_err(self.failed(WRITE))?;
+        }
+        Ok(self.words)
+    }
+
+    /// Takes what is in the file into memory again; the file stays.
+    pub fn recall(&mut self) -> Result<()> {
+        let mut words = Words::zeroed(self.words as usize)?;
+        self.read(0, &mut words)?;
+        (self.memory, self.file, self.copied) = (words, None, true);
+        Ok(())
+    }
+
     /// Moves what is in memory to the file, where all that follows goes too.
     pub fn spill(&mut self) -> Result<()> {
         if self.file.is_none() {
@@ -95,7 +117,7 @@ impl<'a> Spool<'a> {
 
 impl Drop for Spool<'_> {
     fn drop(&mut self) {
-        if self.file.is_some() {
+        if self.file.is_some() || self.copied {
             self.work.remove(&self.name);
         }
     }
@@ -151,5 +173,22 @@ mod tests {
             drop(spool);
             assert!(work.reopen("words").is_err());
         }
+    }
+
+    #[test]
+    fn a_copy_can_be_opened_again_and_recalled() {
+        let folder = tempfile::tempdir().unwrap();
+        let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
+        let mut spool = Spool::new(&work, "words", 1000);
+        spool.append(&[1, 2, 3]).unwrap();
+        assert_eq!((spool.copy_to_file().unwrap(), spool.memory()), (3, Some(&[1, 2, 3][..])));
+        // As a kill does.
+        std::mem::forget(spool);
+        let mut again = Spool::reopen(&work, "words", 3).unwrap();
+        assert_eq!(again.memory(), None);
+        again.recall().unwrap();
+        assert_eq!(again.memory(), Some(&[1, 2, 3][..]));
+        drop(again);
+        assert!(work.reopen("words").is_err());
     }
 }

@@ -9,7 +9,8 @@
 //!   back in the order of the faces.
 
 use super::answers::Answers;
-use super::faces::{Faces, LoadedBlock};
+use super::blocks::LoadedBlock;
+use super::faces::Faces;
 use super::spool::Spool;
 use super::words::Words;
 use crate::error::Result;

@@ -7,7 +7,7 @@ use crate::event::Monitor;
 use crate::geometry::RootCube;
 use crate::mesh::TriangleSource;
 
-use super::checkpoint::{ChunkState, JoinedState, State};
+use super::checkpoint::{ChunkState, JoinedState, Reached, State, can_note};
 use super::distribute::Chunk;
 use super::grid::{CellCode, Grid, Placement};
 use super::join::{Tally, join};
@@ -17,7 +17,8 @@ use super::phases::Phases;
 use super::polygon::CLIP_LIMIT;
 use super::record::Layout;
 use super::room::{check_after, check_before};
-use super::scan::scan;
+use super::scan::{Scan, scan};
+use super::scanned;
 use super::snap::Snap;
 use super::spool::Spool;
 use super::work::WorkFolder;
@@ -50,28 +51,55 @@ pub(super) enum Stage<'w> {
     Sorted(Spool<'w>, Vec<Chunk>),
 }
 
-/// Reads the source and joins its faces.
+/// What a killed build left.
+pub(super) enum Left<'w> {
+    /// All that the source sent.
+    Scanned(Scan<'w>),
+    /// Triangles, perhaps sorted.
+    Joined(Triangles<'w>),
+}
+
+/// Reads the source.
 pub(super) fn read<'w>(
     source: &mut dyn TriangleSource,
+    work: &'w WorkFolder,
+    options: &BuildOptions,
+    tuning: &Tuning,
+    phases: &mut Phases<'_>,
+    monitor: Monitor<'_>,
+) -> Result<Scan<'w>> {
+    check_before(source.size_hint(), options.memory, work.temp(), monitor)?;
+    // A triangle takes some 40 bytes of text.
+    let sorted = 40 * tuning.chunk(Layout::default());
+    phases.expect_sorting(source.size_hint().is_none_or(|size| size > sorted));
+    phases.begin("scan");
+    let mut scan = scan(source, work, tuning, monitor)?;
+    if scan.is_spilled() {
+        // Memory goes to windows on the tables.
+        scan.faces.spill()?;
+    }
+    scanned::note(&mut scan, work, options)?;
+    Ok(scan)
+}
+
+/// Joins the faces of a source that has been read.
+pub(super) fn join_all<'w>(
+    mut scan: Scan<'w>,
     (work, output): (&'w WorkFolder, &Path),
     options: &BuildOptions,
     tuning: &Tuning,
     phases: &mut Phases<'_>,
     monitor: Monitor<'_>,
 ) -> Result<Triangles<'w>> {
-    check_before(source.size_hint(), options.memory, work.temp(), monitor)?;
-    phases.begin("scan");
-    let mut scan = scan(source, work, tuning, monitor)?;
     let mut tuning = *tuning;
     if scan.is_spilled() {
-        // Memory goes to windows on the tables.
-        scan.faces.spill()?;
         tuning.record_words = 0;
     }
     let records = scan.faces.triangles() * 4 * scan.layout().words() as u64;
     if records > 4 * tuning.record_words as u64 {
         check_after(records, scan.faces.triangles(), work.temp(), output)?;
     }
+    phases.expect_sorting(scan.counts_ahead(options, &tuning));
     phases.begin("join");
     let guess = Placement { root: RootCube::around(scan.bounds), split: options.split };
     let snap = Snap::new(options.positions, scan.bounds, scan.faces.triangles());
@@ -88,29 +116,28 @@ pub(super) fn read<'w>(
         materials: std::mem::take(&mut scan.info.materials),
         root,
     };
-    // A state of very many materials would be large itself.
-    let noted = joined.records.memory().is_none() && mesh.materials.len() <= 1 << 16;
-    let state = if noted { State::new(options, mesh.state(joined.records.len())) } else { None };
+    let noted = joined.records.memory().is_none() && can_note(&mesh.materials);
+    let state = if noted { State::joined(options, mesh.state(joined.records.len())) } else { None };
     state.as_ref().map_or(Ok(()), |state| state.save(work))?;
     Ok(Triangles { mesh, stage: Stage::Joined(joined.records, grid.filter(|_| root == guess.root)), state })
 }
 
 /// What a killed build left, if it is whole.
-pub(super) fn taken_up<'w>(work: &'w WorkFolder, options: &BuildOptions) -> Option<Triangles<'w>> {
+pub(super) fn taken_up<'w>(work: &'w WorkFolder, options: &BuildOptions, tuning: &Tuning) -> Option<Left<'w>> {
     let state = State::load(work, options)?;
-    let stage = match &state.chunks {
-        Some(chunks) => {
+    let (mesh, stage) = match &state.reached {
+        Reached::Scanned(state) => return scanned::taken_up(state, work, tuning).map(Left::Scanned),
+        Reached::Joined { joined, chunks: Some(chunks), .. } => {
             let end = chunks.iter().map(ChunkState::end).max().unwrap_or(0);
             let chunks = chunks.iter().map(ChunkState::chunk).collect();
-            Stage::Sorted(Spool::reopen(work, "chunks0", end)?, chunks)
+            (Mesh::of(joined), Stage::Sorted(Spool::reopen(work, "chunks0", end)?, chunks))
         }
-        None => {
-            let name = if state.parts { "parts" } else { "records" };
-            Stage::Joined(Spool::reopen(work, name, state.joined.record_words)?, None)
+        Reached::Joined { joined, parts, chunks: None } => {
+            let name = if *parts { "parts" } else { "records" };
+            (Mesh::of(joined), Stage::Joined(Spool::reopen(work, name, joined.record_words)?, None))
         }
     };
-    let mesh = Mesh::of(&state.joined);
-    Some(Triangles { mesh, stage, state: Some(state) })
+    Some(Left::Joined(Triangles { mesh, stage, state: Some(state) }))
 }
 
 impl Mesh {

@@ -41,7 +41,8 @@ impl RootCube {
 
     /// A point in root units, to f64 accuracy (relative error at most 2^-53).
     pub fn to_root_units(self, p: Vec3) -> DVec3 {
-        (p.as_dvec3() - self.corner) / self.side()
+        // As good as dividing by the side, and far quicker: the inverse is a power of two as well, so both are exact.
+        (p.as_dvec3() - self.corner) * exp2(-self.log2_side)
     }
 }
 

@@ -5,6 +5,7 @@
 mod bytes;
 mod input;
 pub mod mtl;
+mod names;
 mod obj;
 mod ply;
 mod stl;
@@ -28,8 +29,8 @@ pub struct ReadOptions {
     pub block: usize,
     /// Most bytes of a line, continued ones included; a longer one is an error.
     pub longest_line: usize,
-    /// Most different materials that an OBJ file may use; more are an error. About 300 bytes are held for each.
-    pub most_materials: usize,
+    /// Most bytes that the materials of an OBJ file may take, names and all; more are an error. Each takes some 200.
+    pub material_memory: u64,
 }
 
 impl Default for ReadOptions {
@@ -39,7 +40,7 @@ impl Default for ReadOptions {
             origin: [0.0; 3],
             block: 8 << 20,
             longest_line: 1 << 30,
-            most_materials: usize::MAX,
+            material_memory: u64::MAX,
         }
     }
 }

@@ -1,68 +1,190 @@
 //! Material libraries (`.mtl`), read through the crate tobj.
 //!
-//! The file is made fit for tobj first: Latin-1 becomes UTF-8, and lines that tobj would refuse (it gives up the whole
-//! file) or panic at are taken out with a warning. Only what [`MaterialInfo`] holds is kept. Of a texture's options
+//! The file is read line by line and given to tobj one material at a time, so that memory does not grow with it. It is made
+//! fit for tobj first: Latin-1 becomes UTF-8, and lines that tobj would refuse (it gives up all of it) or panic at are taken
+//! out with a warning. Only what [`MaterialInfo`] holds is kept. Of a texture's options
 //! (`-s 1 1 1`) only the file name behind them is used.
 
-use std::collections::HashMap;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use super::MaterialInfo;
+use super::names::Names;
 use crate::error::{Error, Result};
 use crate::event::Monitor;
 
 /// How many names or lines a warning lists.
 const LISTED: usize = 8;
+/// Bytes of a line; what is longer counts as several.
+const LONGEST_LINE: u64 = 1 << 16;
+/// Bytes of all lines of a material; what comes after that is passed over.
+const LONGEST_MATERIAL: u64 = 1 << 18;
 
 /// Reads a material library, in the file's order.
 ///
 /// What is wrong in it is told to `monitor`; it fails only if the file cannot be read at all. Paths of textures can be
 /// opened from the current folder.
 pub fn load(path: &Path, monitor: Monitor<'_>) -> Result<Vec<MaterialInfo>> {
+    let mut all = Vec::new();
+    read(path, monitor, &mut |material| {
+        all.push(material);
+        Ok(())
+    })?;
+    Ok(all)
+}
+
+/// Reads a material library, one material at a time, until `take` fails.
+fn read(path: &Path, monitor: Monitor<'_>, take: &mut dyn FnMut(MaterialInfo) -> Result<()>) -> Result<()> {
     if !std::fs::metadata(path).map_err(Error::io(path, "open"))?.is_file() {
         return Err(Error::Input {
             file: path.to_owned(),
             what: "not a material library but a folder or device".into(),
         });
     }
-    let bytes = std::fs::read(path).map_err(Error::io(path, "open"))?;
-    let (text, bad) = sanitize(&decode(&bytes));
-    if !bad.is_empty() {
-        let lines = list(bad.iter().map(|line| line.to_string()));
+    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let mut lines = BufReader::new(file);
+    let folder = path.parent().unwrap_or(Path::new(""));
+    let (mut line, mut number, mut bad, mut bad_count) = (Vec::new(), 0, Vec::new(), 0);
+    // The lines of the material that is being read, as tobj is to see them.
+    let (mut pending, mut inside) = (String::new(), false);
+    loop {
+        line.clear();
+        let more = lines.by_ref().take(LONGEST_LINE).read_until(b'\n', &mut line);
+        let ended = more.map_err(Error::io(path, "read"))? == 0;
+        number += 1;
+        let text = decode(line.strip_prefix(b"\xef\xbb\xbf").filter(|_| number == 1).unwrap_or(&line));
+        let (keyword, rest) = text.trim().split_once(char::is_whitespace).unwrap_or((text.trim(), ""));
+        let rest = rest.trim();
+        if ended || keyword == "newmtl" {
+            let materials = tobj::load_mtl_buf(&mut pending.as_bytes()).map(|(materials, _)| materials);
+            let materials = materials.map_err(|error| Error::Input {
+                file: path.to_owned(),
+                what: format!("not a material library ({error})"),
+            })?;
+            materials.into_iter().try_for_each(|material| take(convert(material, folder, monitor)))?;
+            pending.clear();
+            // What follows a material without a name belongs to none.
+            inside = !rest.is_empty();
+        }
+        if ended {
+            break;
+        }
+        match clean(keyword, rest) {
+            Some(Some(clean)) if inside && (pending.len() as u64) < LONGEST_MATERIAL => {
+                pending.extend([keyword, " ", &clean, "\n"]);
+            }
+            Some(None) => {
+                bad_count += 1;
+                if bad.len() < LISTED {
+                    bad.push(number.to_string());
+                }
+            }
+            _ => {}
+        }
+    }
+    if bad_count > 0 {
+        let lines = list(bad.into_iter(), bad_count);
         monitor.warn(format!("{}: lines that make no sense are ignored: {lines}", path.display()));
     }
-    let folder = path.parent().unwrap_or(Path::new(""));
-    let (found, _) = tobj::load_mtl_buf(&mut text.as_bytes())
-        .map_err(|error| Error::Input { file: path.to_owned(), what: format!("not a material library ({error})") })?;
-    Ok(found.into_iter().map(|material| convert(material, folder, monitor)).collect())
+    Ok(())
 }
 
 /// Finds the materials that a mesh uses by name in the libraries that it names, relative to its `folder`.
 ///
 /// A library that is missing and a material that no library defines are warnings; such a material has only its name.
+/// `None` if all of them would take more than `memory` bytes.
 pub(super) fn resolve(
     folder: &Path,
-    libraries: &[String],
-    used: Vec<String>,
+    libraries: &Names,
+    used: Names,
+    memory: u64,
     monitor: Monitor<'_>,
-) -> Vec<MaterialInfo> {
-    let mut known: HashMap<String, MaterialInfo> = HashMap::new();
+) -> Option<Vec<MaterialInfo>> {
+    let mut wanted = Wanted::new(used);
+    let mut bytes = bytes_of(&wanted.names);
     for path in libraries.iter().flat_map(|names| library_paths(folder, names)) {
-        match load(&path, monitor) {
-            // The first definition of a name counts.
-            Ok(materials) => materials.into_iter().for_each(|found| {
-                known.entry(found.name.clone()).or_insert(found);
-            }),
-            Err(error) => monitor.warn(format!("{error}; its materials get the default look")),
+        let read = read(&path, monitor, &mut |material| {
+            bytes += wanted.take(material);
+            if bytes <= memory { Ok(()) } else { Err(Error::Interrupted) }
+        });
+        if bytes > memory {
+            return None;
+        }
+        if let Err(error) = read {
+            monitor.warn(format!("{error}; its materials get the default look"));
         }
     }
-    let find = |name: &String| known.get(name).or_else(|| known.get(name.split(" #").next()?.trim_end()));
-    let missing: Vec<&String> = used.iter().filter(|name| find(name).is_none()).collect();
-    if !missing.is_empty() {
-        let names = list(missing.iter().map(|name| format!("\"{name}\"")));
+    let Wanted { found, names, rank, .. } = wanted;
+    let missing = || (0..names.len()).filter(|&i| rank[i] == Rank::Missing);
+    let count = missing().count();
+    if count > 0 {
+        let names = list(missing().map(|i| format!("\"{}\"", names.name(i))), count);
         monitor.warn(format!("no material library defines {names}: such faces get the default look"));
     }
-    used.iter().map(|name| MaterialInfo { name: name.clone(), ..find(name).cloned().unwrap_or_default() }).collect()
+    Some(found)
+}
+
+/// Bytes that the materials of these names take at most, while they are found and after that: the names, and a
+/// [`MaterialInfo`] with its own copy of the name for each. Textures come to that.
+pub(super) fn bytes_of(names: &Names) -> u64 {
+    let each = (size_of::<MaterialInfo>() + size_of::<u32>() + size_of::<Rank>() + CHUNK) as u64;
+    names.bytes() + names.text_bytes() + each * names.len() as u64
+}
+
+/// What an allocator adds to a small string, at most.
+const CHUNK: usize = 32;
+
+/// How a material was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Rank {
+    Missing,
+    /// By what stands before a comment in its name.
+    WithoutComment,
+    ByName,
+}
+
+/// Materials that are looked for.
+struct Wanted {
+    names: Names,
+    /// Those whose name may end in a comment, by what stands before that.
+    commented: Vec<u32>,
+    found: Vec<MaterialInfo>,
+    rank: Vec<Rank>,
+}
+
+impl Wanted {
+    fn new(names: Names) -> Wanted {
+        let mut commented: Vec<u32> =
+            (0..names.len() as u32).filter(|&i| names.name(i as usize).contains(" #")).collect();
+        commented.sort_by_key(|&i| without_comment(names.name(i as usize)));
+        let named = |name: &str| MaterialInfo { name: name.to_owned(), ..Default::default() };
+        Wanted { found: names.iter().map(named).collect(), rank: vec![Rank::Missing; names.len()], commented, names }
+    }
+
+    /// Takes a material over if it is wanted: the first definition of a name counts. Says how many bytes it adds.
+    fn take(&mut self, material: MaterialInfo) -> u64 {
+        let name = |&i: &u32| without_comment(self.names.name(i as usize));
+        let first = self.commented.partition_point(|i| name(i) < &material.name[..]);
+        let same = self.commented[first..].iter().take_while(|i| name(i) == material.name);
+        let commented = same.map(|&i| (i as usize, Rank::WithoutComment));
+        let exact = self.names.get(&material.name).map(|i| (i, Rank::ByName));
+        let mut added = 0;
+        for (i, rank) in commented.chain(exact) {
+            if self.rank[i] < rank {
+                self.rank[i] = rank;
+                let name = std::mem::take(&mut self.found[i].name);
+                self.found[i] = MaterialInfo { name, ..material.clone() };
+                added += material.map_kd.as_ref().map_or(0, |path| (path.as_os_str().len() + CHUNK) as u64);
+            }
+        }
+        added
+    }
+}
+
+/// A name up to a comment behind it.
+fn without_comment(name: &str) -> &str {
+    name.split(" #").next().unwrap_or(name).trim_end()
 }
 
 /// The files that the rest of an `mtllib` line names: one whose name may hold blanks, or several.
@@ -87,34 +209,12 @@ fn locate(folder: &Path, name: &str) -> PathBuf {
     [&written, &usual, &beside].into_iter().find(|path| path.is_file()).unwrap_or(&usual).clone()
 }
 
-/// UTF-8 if it can be, else Latin-1; without a byte-order mark.
-fn decode(bytes: &[u8]) -> String {
-    let bytes = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(bytes);
-    match std::str::from_utf8(bytes) {
+/// UTF-8 if it can be, else Latin-1.
+fn decode(line: &[u8]) -> String {
+    match std::str::from_utf8(line) {
         Ok(text) => text.to_owned(),
-        Err(_) => bytes.iter().map(|&byte| byte as char).collect(),
+        Err(_) => line.iter().map(|&byte| byte as char).collect(),
     }
-}
-
-/// The lines that tobj is to see, and the numbers of those that make no sense.
-fn sanitize(text: &str) -> (String, Vec<usize>) {
-    let (mut kept, mut bad) = (String::with_capacity(text.len()), Vec::new());
-    let mut inside = false;
-    for (number, line) in text.lines().enumerate() {
-        let (keyword, rest) = line.trim().split_once(char::is_whitespace).unwrap_or((line.trim(), ""));
-        let rest = rest.trim();
-        if keyword == "newmtl" {
-            // What follows a material without a name belongs to none.
-            inside = !rest.is_empty();
-        }
-        let Some(clean) = clean(keyword, rest) else { continue };
-        match clean {
-            Some(clean) if inside => kept.extend([keyword, " ", &clean, "\n"]),
-            Some(_) => {}
-            None => bad.push(number + 1),
-        }
-    }
-    (kept, bad)
 }
 
 /// The rest of a line in a form that tobj understands; the outer `None` is for keywords that do not matter, the inner
@@ -183,10 +283,10 @@ fn convert(material: tobj::Material, folder: &Path, monitor: Monitor<'_>) -> Mat
     }
 }
 
-/// The first few of some words.
-fn list(words: impl ExactSizeIterator<Item = String>) -> String {
-    let more = words.len().saturating_sub(LISTED);
+/// The first few of `count` words.
+fn list(words: impl Iterator<Item = String>, count: usize) -> String {
     let shown = words.take(LISTED).collect::<Vec<_>>().join(", ");
+    let more = count.saturating_sub(LISTED);
     if more > 0 { format!("{shown} and {more} more") } else { shown }
 }
 
@@ -277,9 +377,15 @@ mod tests {
         assert_eq!(library_paths(folder.path(), "a b.mtl"), [at("a b.mtl")]);
         assert_eq!(library_paths(folder.path(), "c.mtl d.mtl"), [at("c.mtl"), at("d.mtl")]);
         assert_eq!(library_paths(folder.path(), "x y.mtl"), [at("x y.mtl")]);
-        let used = vec!["c".to_owned(), "ab".to_owned(), "no".to_owned(), "c # blue".to_owned()];
-        let libraries = ["a b.mtl".to_owned(), "c.mtl".to_owned(), "gone.mtl".to_owned()];
-        let (found, warnings) = watched(|monitor| resolve(folder.path(), &libraries, used, monitor));
+        let names = |all: &[&str]| {
+            let mut names = Names::default();
+            all.iter().for_each(|name| assert!(names.number(name).is_some()));
+            names
+        };
+        let used = || names(&["c", "ab", "no", "c # blue"]);
+        let libraries = names(&["a b.mtl", "c.mtl", "gone.mtl"]);
+        let (found, warnings) = watched(|monitor| resolve(folder.path(), &libraries, used(), 10_000, monitor));
+        let found = found.unwrap();
         assert_eq!(
             found.iter().map(|material| material.ns).collect::<Vec<_>>(),
             [Some(2.0), Some(1.0), None, Some(2.0)]
@@ -287,5 +393,11 @@ mod tests {
         assert_eq!((&found[2].name[..], &found[3].name[..]), ("no", "c # blue"));
         assert!(warnings.contains("gone.mtl: cannot open"), "{warnings}");
         assert!(warnings.contains("no material library defines \"no\": "), "{warnings}");
+        // A texture takes memory too.
+        let enough = bytes_of(&used());
+        let found = |memory| resolve(folder.path(), &libraries, used(), memory, Monitor::silent());
+        assert!(found(enough).is_some());
+        std::fs::write(at("a b.mtl"), "newmtl ab\nmap_Kd x.png").unwrap();
+        assert!(found(enough).is_none() && found(enough + 1000).is_some());
     }
 }

@@ -22,7 +22,17 @@ pub struct Reporter {
     name: String,
     quiet: bool,
     warnings: AtomicU64,
+    whole: Mutex<Whole>,
     display: Display,
+}
+
+/// How far the whole work is, where its phases say which parts of it they are.
+#[derive(Default)]
+struct Whole {
+    /// When the first such phase began, and where in the whole.
+    begun: Option<(Instant, f64)>,
+    /// The part that the current phase is.
+    part: Option<[f64; 2]>,
 }
 
 enum Display {
@@ -52,7 +62,7 @@ impl Reporter {
         } else {
             Display::Lines(Mutex::new(Lines { phase: "", phase_start: now, next: now + FIRST_LINE }))
         };
-        Reporter { name: name.to_owned(), quiet, warnings: AtomicU64::new(0), display }
+        Reporter { name: name.to_owned(), quiet, warnings: AtomicU64::new(0), whole: Mutex::default(), display }
     }
 
     /// Whether the user asked for silence.
@@ -75,7 +85,7 @@ impl Reporter {
     /// Shows an event.
     pub fn show(&self, event: Event) {
         match event {
-            Event::Phase { name } => self.phase(name),
+            Event::Phase { name, part } => self.phase(name, part),
             Event::Progress { done, total, unit } => self.progress(done, total, unit),
             Event::Note(text) => self.note(&text),
             Event::Warning(text) => self.warn(|| diagnostics::render_message(Severity::Warning, &text)),
@@ -84,7 +94,8 @@ impl Reporter {
         }
     }
 
-    fn phase(&self, name: &'static str) {
+    fn phase(&self, name: &'static str, part: Option<[f64; 2]>) {
+        self.whole.lock().unwrap_or_else(|e| e.into_inner()).phase(part, Instant::now());
         match &self.display {
             Display::None => {}
             Display::Bar(bar) => {
@@ -105,6 +116,10 @@ impl Reporter {
     }
 
     fn progress(&self, done: u64, total: Option<u64>, unit: &'static str) {
+        let whole = || {
+            let share = total.filter(|&total| total > 0).map(|total| done as f64 / total as f64)?;
+            self.whole.lock().unwrap_or_else(|e| e.into_inner()).told(share, Instant::now())
+        };
         match &self.display {
             Display::None => {}
             Display::Bar(bar) => {
@@ -112,7 +127,9 @@ impl Reporter {
                     total.map_or_else(|| bar.unset_length(), |t| bar.set_length(t));
                     bar.set_style(style(total));
                 }
-                bar.set_prefix(unit);
+                let whole = whole().map(|told| format!("; {told}")).unwrap_or_default();
+                let left = total.map(|_| format!(", {} s left", bar.eta().as_secs())).unwrap_or_default();
+                bar.set_prefix(format!("{unit}, {}{left}{whole}", rate(bar.per_sec(), unit)));
                 bar.set_position(done);
             }
             Display::Lines(lines) => {
@@ -121,7 +138,8 @@ impl Reporter {
                 let now = Instant::now();
                 if lines.due(now, LINE_EVERY) {
                     let line = plain_line(lines.phase, done, total, unit, now - lines.phase_start);
-                    eprintln!("{}: {line}", self.name);
+                    let whole = whole().map(|told| format!("; {told}")).unwrap_or_default();
+                    eprintln!("{}: {line}{whole}", self.name);
                 }
             }
         }
@@ -146,6 +164,23 @@ impl Reporter {
     }
 }
 
+impl Whole {
+    fn phase(&mut self, part: Option<[f64; 2]>, now: Instant) {
+        self.part = part;
+        if let (None, Some([from, _])) = (self.begun, part) {
+            self.begun = Some((now, from));
+        }
+    }
+
+    /// `68 % of all, 200 s left`, when `share` of the current phase is done.
+    fn told(&self, share: f64, now: Instant) -> Option<String> {
+        let ([from, to], (start, first)) = (self.part?, self.begun?);
+        let at = from + (to - from) * share.min(1.0);
+        let left = (now - start).as_secs_f64() * (1.0 - at) / (at - first);
+        (at > first).then(|| format!("{:.0} % of all, {left:.0} s left", at * 100.0))
+    }
+}
+
 impl Lines {
     /// Whether a line may be printed now; if so, the next may come after `pause`.
     fn due(&mut self, now: Instant, pause: Duration) -> bool {
@@ -164,10 +199,10 @@ fn bar() -> ProgressBar {
     bar
 }
 
-/// With a total: phase, bar, per cent, time left; without: phase, spinner, count.
+/// With a total: phase, bar, per cent; without: phase, spinner, count. Then the unit, and with it rate and time left.
 fn style(total: Option<u64>) -> ProgressStyle {
     let template = match total {
-        Some(_) => "{msg:>10} {wide_bar} {percent:>3} % of {human_len} {prefix}, {per_sec}, {eta} left",
+        Some(_) => "{msg:>10} {wide_bar} {percent:>3} % of {human_len} {prefix}",
         None => "{msg:>10} {spinner} {human_pos} {prefix}",
     };
     ProgressStyle::with_template(template).unwrap_or_else(|_| ProgressStyle::default_bar())
@@ -175,9 +210,12 @@ fn style(total: Option<u64>) -> ProgressStyle {
 
 /// A line such as `scan: 12 % of 300 bytes, 8 s left`.
 fn plain_line(phase: &str, done: u64, total: Option<u64>, unit: &str, since: Duration) -> String {
-    let Some(total) = total.filter(|&t| t > 0) else { return format!("{phase}: {done} {unit}") };
-    let share = done as f64 / total as f64;
     let seconds = since.as_secs_f64();
+    let Some(total) = total.filter(|&t| t > 0) else {
+        let rate = if seconds > 0.0 { rate(done as f64 / seconds, unit) } else { String::new() };
+        return format!("{phase}: {done} {unit}, {rate}");
+    };
+    let share = done as f64 / total as f64;
     let left = if share > 0.0 && seconds > 0.0 {
         let left = seconds * (1.0 - share).max(0.0) / share;
         format!(", {}, {left:.0} s left", rate(done as f64 / seconds, unit))
@@ -209,8 +247,25 @@ mod tests {
         assert_eq!(line, "join: 50 % of 10000000 triangles, 0.50 M triangles/s, 10 s left");
         assert_eq!(rate(12.4, "pages"), "12 pages/s");
         assert_eq!(plain_line("scan", 0, Some(100), "bytes", ten), "scan: 0 % of 100 bytes");
-        assert_eq!(plain_line("scan", 7, None, "faces", ten), "scan: 7 faces");
-        assert_eq!(plain_line("scan", 7, Some(0), "faces", ten), "scan: 7 faces");
+        assert_eq!(plain_line("scan", 30, None, "faces", ten), "scan: 30 faces, 3 faces/s");
+        assert_eq!(plain_line("scan", 30, Some(0), "faces", ten), "scan: 30 faces, 3 faces/s");
+    }
+
+    #[test]
+    fn the_whole_goes_on_from_phase_to_phase() {
+        let start = Instant::now();
+        let after = |seconds| start + Duration::from_secs(seconds);
+        let mut whole = Whole::default();
+        whole.phase(None, start);
+        assert_eq!(whole.told(0.5, after(1)), None);
+        // Taken up where a fifth was done: then all has to be judged by what was done since.
+        whole.phase(Some([0.2, 0.4]), start);
+        assert_eq!(whole.told(0.0, start), None);
+        assert_eq!(whole.told(0.5, after(10)).as_deref(), Some("30 % of all, 70 s left"));
+        whole.phase(Some([0.4, 1.0]), after(20));
+        assert_eq!(whole.told(0.5, after(50)).as_deref(), Some("70 % of all, 30 s left"));
+        whole.phase(None, after(60));
+        assert_eq!(whole.told(0.5, after(70)), None);
     }
 
     #[test]

@@ -211,8 +211,8 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if options.resume && options.source.is_none() && !args.input.exists() {
         return Err(Error::Option("--resume needs a mesh file that can be read again, not standard input".into()));
     }
-    let most_materials = options.most_materials();
-    let read = ReadOptions { lenient: args.lenient, origin, most_materials, ..ReadOptions::default() };
+    let material_memory = options.material_memory();
+    let read = ReadOptions { lenient: args.lenient, origin, material_memory, ..ReadOptions::default() };
     let read = read.within(options.reading_memory(), rayon::current_num_threads());
     let mut source = mesh::open(&args.input, &read)?;
     let report = build::build(source.as_mut(), &args.output, &options, session.monitor())?;

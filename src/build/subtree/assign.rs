@@ -15,21 +15,19 @@ use super::wide::Bounds;
 /// The slot of each of at most eight children. Among equal choices, children take low slots first.
 pub(super) fn assign_slots(children: &[Bounds]) -> impl Iterator<Item = usize> {
     let pairs = Pairs::of(children);
-    // The best order of each four, and what it costs.
-    let mut fours = [([0u8; 4], 0.0f64); 256];
-    for set in sets_of_four() {
-        fours[set] = pairs.best_four(members(set));
-    }
-    let mut best = (f64::INFINITY, 0b1111);
-    for set in sets_of_four() {
-        let (low, high) = (&fours[set], &fours[255 ^ set]);
-        let cost = low.1 + high.1 + pairs.across(X, &members(set), &members(255 ^ set));
+    let twos = Twos::of(&pairs);
+    let fours = FOURS.map(|four| twos.best_four(four));
+    let mut best = (f64::INFINITY, 0);
+    for (low, four) in FOURS.iter().enumerate() {
+        let high = FOURS.len() - 1 - low;
+        let cost = fours[low].1 + fours[high].1 + pairs.across(X, four, &FOURS[high]);
         if cost < best.0 {
-            best = (cost, set);
+            best = (cost, low);
         }
     }
     let mut slots = [0; 8];
-    let order = fours[best.1].0.into_iter().chain(fours[255 ^ best.1].0);
+    let halves = [best.1, FOURS.len() - 1 - best.1];
+    let order = halves.into_iter().flat_map(|four| fours[four].0).flat_map(|two| pairs.best_two(two).0);
     order.enumerate().for_each(|(slot, child)| slots[usize::from(child)] = slot);
     slots.into_iter().take(children.len())
 }
@@ -38,39 +36,49 @@ const X: usize = 0;
 const Y: usize = 1;
 const Z: usize = 2;
 
-/// The sets of four of eight, as bits, in ascending order.
-fn sets_of_four() -> impl Iterator<Item = usize> {
-    (0usize..256).filter(|set| set.count_ones() == 4)
-}
+/// The sets of four of eight, each in ascending order. As bits they ascend too, so that the i-th from the front and the i-th
+/// from the back are each what the other leaves.
+const FOURS: [[u8; 4]; 70] = {
+    let (mut fours, mut count) = ([[0; 4]; 70], 0);
+    let mut bits = 0u32;
+    while bits < 256 {
+        if bits.count_ones() == 4 {
+            let (mut rest, mut i) = (bits, 0);
+            while i < 4 {
+                fours[count][i] = rest.trailing_zeros() as u8;
+                rest &= rest - 1;
+                i += 1;
+            }
+            count += 1;
+        }
+        bits += 1;
+    }
+    fours
+};
 
-/// The members of a set of four.
-fn members(set: usize) -> [u8; 4] {
-    let mut rest = set;
-    [(); 4].map(|()| {
-        let member = rest.trailing_zeros();
-        rest &= rest - 1;
-        member as u8
-    })
+/// Where two of eight stand in a table of all pairs.
+fn place(low: u8, high: u8) -> usize {
+    usize::from(low & 7) << 3 | usize::from(high & 7)
 }
 
 /// What it costs, for two of eight children, that one is on the low side of the other on an axis.
-struct Pairs([[[f64; 8]; 8]; 3]);
+struct Pairs([[f64; 64]; 3]);
 
 impl Pairs {
     /// A pair counts as the geometric mean of its surfaces: measured against the smaller one, the product and the sum, all
     /// within 1 %.
     fn of(children: &[Bounds]) -> Pairs {
-        let mut costs = [[[0.0; 8]; 8]; 3];
-        for (i, a) in children.iter().enumerate() {
-            for (j, b) in children.iter().enumerate().take(i) {
+        let mut costs = [[0.0; 64]; 3];
+        for (i, a) in (0..).zip(children) {
+            for (j, b) in (0..i).zip(children) {
                 let weight = (a.half_area() * b.half_area()).sqrt();
                 let apart = (b.centre() - a.centre()).to_array();
                 let reach = (0.5 * ((b.max - b.min) + (a.max - a.min))).to_array();
                 for (axis, (apart, reach)) in apart.into_iter().zip(reach).enumerate() {
                     // 1 where b lies wholly above a, -1 where wholly below.
                     let above = if apart == 0.0 { 0.0 } else { (apart / reach).clamp(-1.0, 1.0) };
-                    costs[axis][i][j] = weight * (1.0 - above);
-                    costs[axis][j][i] = weight * (1.0 + above);
+                    costs[axis][place(i, j)] = weight * (1.0 - above);
+                    costs[axis][place(j, i)] = weight * (1.0 + above);
                 }
             }
         }
@@ -78,7 +86,7 @@ impl Pairs {
     }
 
     fn cost(&self, axis: usize, low: u8, high: u8) -> f64 {
-        self.0[axis][usize::from(low)][usize::from(high)]
+        self.0[axis][place(low, high)]
     }
 
     /// The costs of all pairs between two groups.
@@ -86,31 +94,54 @@ impl Pairs {
         low.iter().map(|&i| high.iter().map(|&j| self.cost(axis, i, j)).sum::<f64>()).sum()
     }
 
-    /// The best order of four children that share their side of x, and what it costs.
-    fn best_four(&self, [a, b, c, d]: [u8; 4]) -> ([u8; 4], f64) {
-        let ways = [
-            ([a, b], [c, d]),
-            ([a, c], [b, d]),
-            ([a, d], [b, c]),
-            ([b, c], [a, d]),
-            ([b, d], [a, c]),
-            ([c, d], [a, b]),
-        ];
-        let mut best = ([a, b, c, d], f64::INFINITY);
-        for (low, high) in ways {
-            let ((low, below), (high, above)) = (self.best_two(low), self.best_two(high));
-            let cost = below + above + self.across(Y, &low, &high);
-            if cost < best.1 {
-                best = ([low[0], low[1], high[0], high[1]], cost);
-            }
-        }
-        best
-    }
-
-    /// The best order of two that differ on z only.
+    /// The best order of two that differ on z only, and what it costs.
     fn best_two(&self, [a, b]: [u8; 2]) -> ([u8; 2], f64) {
         let (kept, swapped) = (self.cost(Z, a, b), self.cost(Z, b, a));
         if kept <= swapped { ([a, b], kept) } else { ([b, a], swapped) }
+    }
+}
+
+/// What pairs of children cost that share their sides of x and y.
+struct Twos {
+    /// The pair's own cost, by its place.
+    own: [f64; 64],
+    /// What it costs that a child is on the low side of the pair on y: by the child, then the pair's place.
+    below: [[f64; 64]; 8],
+}
+
+impl Twos {
+    fn of(pairs: &Pairs) -> Twos {
+        let mut twos = Twos { own: [0.0; 64], below: [[0.0; 64]; 8] };
+        for (a, b) in (0..8).flat_map(|b| (0..b).map(move |a| (a, b))) {
+            twos.own[place(a, b)] = pairs.best_two([a, b]).1;
+            for (child, below) in (0..).zip(&mut twos.below) {
+                below[place(a, b)] = pairs.cost(Y, child, a) + pairs.cost(Y, child, b);
+            }
+        }
+        twos
+    }
+
+    /// The best pairs, low and high on y, of four children in ascending order that share their side of x, and what that costs.
+    fn best_four(&self, [a, b, c, d]: [u8; 4]) -> ([[u8; 2]; 2], f64) {
+        let ways = [
+            [[a, b], [c, d]],
+            [[a, c], [b, d]],
+            [[a, d], [b, c]],
+            [[b, c], [a, d]],
+            [[b, d], [a, c]],
+            [[c, d], [a, b]],
+        ];
+        let mut best = (ways[0], f64::INFINITY);
+        for way in ways {
+            let [[low, other], high] = way;
+            let high = place(high[0], high[1]);
+            let across = self.below[usize::from(low & 7)][high] + self.below[usize::from(other & 7)][high];
+            let cost = self.own[place(low, other)] + self.own[high] + across;
+            if cost < best.1 {
+                best = (way, cost);
+            }
+        }
+        best
     }
 }
 
@@ -195,7 +226,12 @@ mod tests {
                 let cost = |slots: &[usize]| -> f64 {
                     let pair = |i: usize, j: usize| {
                         let axis = 2 - (slots[i] ^ slots[j]).ilog2() as usize;
-                        if slots[i] < slots[j] { pairs.0[axis][i][j] } else { pairs.0[axis][j][i] }
+                        let (i, j) = (i as u8, j as u8);
+                        if slots[usize::from(i)] < slots[usize::from(j)] {
+                            pairs.cost(axis, i, j)
+                        } else {
+                            pairs.cost(axis, j, i)
+                        }
                     };
                     (0..count).flat_map(|i| (0..i).map(move |j| (i, j))).map(|(i, j)| pair(i, j)).sum()
                 };

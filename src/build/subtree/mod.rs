@@ -103,15 +103,19 @@ pub struct Subtree {
 /// `parts`, if not empty, has a box for each triangle: then the brick is responsible only for what of the triangle lies in that box.
 /// A triangle that was cut may come several times, once for each part. Sah mode only.
 ///
+/// `None` if it would take more than `memory` bytes until its page is written. That is looked at in strict mode alone: in the
+/// others it follows from the number of triangles.
+///
 /// # Panics
 /// Without any triangle, or with 2^32 and more references.
-pub fn build_subtree(
+pub fn build_subtree_within(
     triangles: &[BrickTriangle],
     parts: &[Aabb],
     cell: Cell,
     root: RootCube,
     options: &SubtreeOptions,
-) -> Subtree {
+    memory: u64,
+) -> Option<Subtree> {
     assert!(!triangles.is_empty(), "a brick has at least one triangle");
     assert!(u32::try_from(triangles.len()).is_ok(), "a brick has fewer than 2^32 triangles");
     assert!(parts.is_empty() || options.split == SplitMode::Sah, "only splits by surface know parts of triangles");
@@ -136,10 +140,22 @@ pub fn build_subtree(
         }
         SplitMode::Strict => {
             drop(sorted);
-            strict::StrictBuilder { triangles: canonical, root, limits, cell: limit, depth }.build(cell)
+            strict::StrictBuilder { triangles: canonical, root, limits, cell: limit, depth, memory }.build(cell)?
         }
     };
-    emit::emit(&tree, triangles, options.unit, options.points)
+    Some(emit::emit(&tree, triangles, options.unit, options.points))
+}
+
+/// The same without a bound.
+#[cfg(test)]
+pub fn build_subtree(
+    triangles: &[BrickTriangle],
+    parts: &[Aabb],
+    cell: Cell,
+    root: RootCube,
+    options: &SubtreeOptions,
+) -> Subtree {
+    build_subtree_within(triangles, parts, cell, root, options, u64::MAX).expect("there is no bound")
 }
 
 /// A triangle's place in the canonical order.

@@ -6,7 +6,8 @@
 //!
 //! Where a node would go is found by branch and bound: from its parent up, and down each sibling as long as what is gained
 //! so far exceeds the node's own surface, which it adds wherever it goes. A search ends after [`SEARCH`] nodes, so that time
-//! grows with the number of nodes only, whatever the mesh.
+//! grows with the number of nodes only, whatever the mesh; mending ends where the boxes of long paths take [`REFITS`] steps a
+//! node to make fit.
 
 use glam::Vec3A;
 
@@ -17,6 +18,8 @@ use super::sah::BinaryNode;
 const ROUNDS: usize = 2;
 /// Most nodes that are looked at to find one node's place.
 const SEARCH: usize = 1024;
+/// Steps up the tree, for each node, that boxes may be made to fit in; a mesh whose moves need more is left as it is then.
+const REFITS: usize = 64;
 /// A move must gain more than this part of the surface of the node's parent: none for the sake of rounding.
 const LEAST: f64 = 1e-6;
 /// Longest path of a tree that is returned: far more than that of any but a freak mesh.
@@ -30,6 +33,9 @@ pub(super) fn optimise(nodes: Vec<BinaryNode>) -> Option<Vec<BinaryNode>> {
         // The largest first: they have most to gain.
         order.sort_unstable_by(|&a, &b| tree.area(b).total_cmp(&tree.area(a)).then(a.cmp(&b)));
         for &node in &order {
+            if tree.refits > REFITS * tree.nodes.len() {
+                break;
+            }
             if let Some(to) = tree.best_place(node) {
                 tree.reinsert(node, to);
             }
@@ -47,6 +53,8 @@ const NONE: u32 = u32::MAX;
 struct Tree {
     nodes: Vec<BinaryNode>,
     parents: Vec<u32>,
+    /// Steps that were taken to make boxes fit.
+    refits: usize,
 }
 
 impl Tree {
@@ -57,7 +65,7 @@ impl Tree {
             parents[node.first as usize] = i;
             parents[node.right as usize] = i;
         }
-        Tree { nodes, parents }
+        Tree { nodes, parents, refits: 0 }
     }
 
     fn span(&self, node: u32) -> Span {
@@ -154,6 +162,7 @@ impl Tree {
     /// Makes the boxes fit from a node up, as far as they change.
     fn refit(&mut self, mut at: u32) {
         while let Some([first, second]) = self.children(at) {
+            self.refits += 1;
             let span = self.span(first).union(self.span(second));
             let node = &mut self.nodes[at as usize];
             let (min, max) = (span.min.to_array(), span.max.to_array());

@@ -10,6 +10,7 @@
 //! 3. the growth (references of the octants over references of the cell) multiplied along the path from the brick's
 //!    root would pass [`GROWTH_LIMIT`].
 //!
+//! How many references a brick will have shows only while they are made, so the memory that they take is counted on the way.
 //! By the third rule a brick of n triangles ends with at most 32 n references, however it is made; scans stay far below.
 //! A reference's box is its triangle's box clipped to the cell; since octants are closed and the overlap test never says
 //! no to one that is touched, the boxes of a triangle's references cover it.
@@ -32,25 +33,49 @@ pub(super) struct StrictBuilder<'a> {
     pub cell: usize,
     /// Depth limit, in levels from the root cube.
     pub depth: u32,
+    /// Bytes that the brick may take, from its lists to its page.
+    pub memory: u64,
 }
 
+/// Bytes for each node, leaf and reference of a tree, at most, from here to a finished page: they lie in lists that double as
+/// they grow, then in the records that are emitted, then in the page.
+const BYTES: [u64; 3] = [400, 272, 150];
+
 impl StrictBuilder<'_> {
-    /// The tree over all triangles of a brick.
-    pub fn build(&self, cell: Cell) -> WideTree {
+    /// The tree over all triangles of a brick; `None` if it would take more than its memory.
+    pub fn build(&self, cell: Cell) -> Option<WideTree> {
         let mut tree = WideTree::default();
-        let top = self.refine(&mut tree, self.triangles.order.to_vec(), cell, 1.0);
+        let all = self.triangles.order.to_vec();
+        let held = 8 * all.len() as u64;
+        let top = self.refine(&mut tree, all, cell, (1.0, held))?;
         tree.root_of(top);
-        tree
+        Some(tree)
+    }
+
+    /// Whether a tree, with so many bytes of lists held beside it, takes no more memory than it may.
+    fn fits(&self, tree: &WideTree, held: u64) -> bool {
+        let counts = [tree.nodes.len(), tree.leaves.len(), tree.references.len()];
+        held + counts.iter().zip(BYTES).map(|(&count, bytes)| count as u64 * bytes).sum::<u64>() <= self.memory
     }
 
     fn triangle(&self, reference: u32) -> &Triangle {
         &self.triangles.triangles[reference as usize].triangle
     }
 
-    /// `growth`: product of the growths so far.
-    fn refine(&self, tree: &mut WideTree, references: Vec<u32>, cell: Cell, growth: f64) -> Child {
+    /// `growth`: product of the growths so far; `held`: bytes of the lists of this cell and those above. `None`: see
+    /// [`StrictBuilder::build`].
+    fn refine(
+        &self,
+        tree: &mut WideTree,
+        references: Vec<u32>,
+        cell: Cell,
+        (growth, held): (f64, u64),
+    ) -> Option<Child> {
+        if !self.fits(tree, held) {
+            return None;
+        }
         if references.len() <= self.cell || cell.level >= self.depth || self.stays_together(&references, cell) {
-            return self.leaves(tree, &references, cell);
+            return Some(self.leaves(tree, &references, cell));
         }
         let octants = self.distribute(&references, cell);
         let occupied = octants.iter().filter(|octant| !octant.is_empty()).count();
@@ -59,18 +84,19 @@ impl StrictBuilder<'_> {
         let nothing_gained = occupied > 1 && all == occupied * references.len();
         if nothing_gained || growth > GROWTH_LIMIT {
             drop(octants);
-            return self.leaves(tree, &references, cell);
+            return Some(self.leaves(tree, &references, cell));
         }
         drop(references);
+        let held = held + 8 * all as u64;
         let mut children = [Child::Empty; 8];
         for (i, octant) in octants.into_iter().enumerate().filter(|(_, octant)| !octant.is_empty()) {
-            let child = self.refine(tree, octant, cell.child(i), growth);
+            let child = self.refine(tree, octant, cell.child(i), (growth, held))?;
             if occupied == 1 {
-                return child;
+                return Some(child);
             }
             children[i] = child;
         }
-        tree.add_node(children)
+        Some(tree.add_node(children))
     }
 
     /// The references of each octant, in their order.

@@ -62,7 +62,10 @@ impl TriangleSource for ObjSource {
         let end = sequel.finish(monitor);
         self.input.check_unchanged()?;
         end.forward.check(&mut self.input, &self.options, end.counts)?;
-        let materials = mtl::resolve(&self.input.folder(), &end.libraries, end.materials, monitor);
+        let count = end.materials.len();
+        let memory = self.options.material_memory;
+        let materials = mtl::resolve(&self.input.folder(), &end.libraries, end.materials, memory, monitor)
+            .ok_or_else(|| sequel::too_many_materials(self.input.error_path(), count))?;
         Ok(SourceInfo { materials, too_few_corners: end.too_few, bad_index: end.bad })
     }
 

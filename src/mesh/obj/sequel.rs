@@ -1,16 +1,13 @@
 //! What is carried from block to block: counts, the line number, the material in force.
 
-use std::collections::HashMap;
-use std::collections::hash_map::Entry;
-use std::ops::Range;
-
 use super::forward::Forward;
 use super::parse::{Context, KINDS, NAMES, Parsed, Problem, parse_known};
 use super::place::{decode, diagnose};
 use crate::error::{Error, Result, Severity};
 use crate::event::{Event, Monitor};
 use crate::mesh::input::Input;
-use crate::mesh::{FaceBatch, MeshSink, ReadOptions};
+use crate::mesh::names::Names;
+use crate::mesh::{FaceBatch, MeshSink, ReadOptions, mtl};
 
 /// How many skipped lines are shown one by one.
 const SHOWN: u64 = 10;
@@ -25,9 +22,8 @@ pub(super) struct Sequel {
     line: u64,
     /// The material in force: 0 is none.
     material: u32,
-    numbers: HashMap<String, u32>,
-    materials: Vec<String>,
-    libraries: Vec<String>,
+    materials: Names,
+    libraries: Names,
     forward: Forward,
     too_few: u64,
     bad: u64,
@@ -37,8 +33,8 @@ pub(super) struct Sequel {
 /// What is known at the end.
 pub(super) struct End {
     pub counts: [u64; KINDS],
-    pub materials: Vec<String>,
-    pub libraries: Vec<String>,
+    pub materials: Names,
+    pub libraries: Names,
     pub forward: Forward,
     pub too_few: u64,
     pub bad: u64,
@@ -54,9 +50,8 @@ impl Sequel {
             counts: [0; KINDS],
             line: 1,
             material: 0,
-            numbers: HashMap::new(),
-            materials: Vec::new(),
-            libraries: Vec::new(),
+            materials: Names::default(),
+            libraries: Names::default(),
             forward: Forward::new(input.is_repeatable()),
             too_few: 0,
             bad: 0,
@@ -80,11 +75,9 @@ impl Sequel {
         self.make_absolute(&mut parsed);
         self.use_materials(&text, &mut parsed)?;
         for library in parsed.libraries.drain(..) {
-            let name = decode(&text[library]);
-            if !self.libraries.contains(&name) {
-                self.libraries.push(name);
-            }
+            self.libraries.number(&decode(&text[library]));
         }
+        self.check_materials()?;
         let after = self.counts_after(&parsed)?;
         if !self.options.lenient {
             self.forward.note(&text, &parsed.greatest, self.counts, after, (&self.file, self.line));
@@ -142,13 +135,13 @@ impl Sequel {
         let holds = &mut parsed.faces.materials;
         holds.push((0, self.material));
         for (face, name) in parsed.uses.drain(..) {
-            self.material = self.number_of(text, name);
-            if self.materials.len() > self.options.most_materials {
-                let most = self.options.most_materials;
-                let what =
-                    format!("it uses more than {most} materials, which do not fit in the memory allowed; allow more");
-                return Err(Error::Input { file: self.error_path.clone(), what });
-            }
+            self.material = match name.is_empty() {
+                true => 0,
+                false => match self.materials.number(&decode(&text[name])) {
+                    Some(number) => number as u32 + 1,
+                    None => return Err(too_many_materials(self.error_path.clone(), self.materials.len())),
+                },
+            };
             match holds.last_mut() {
                 Some(last) if last.0 == face as u32 => last.1 = self.material,
                 Some(last) if last.1 == self.material => {}
@@ -158,17 +151,11 @@ impl Sequel {
         Ok(())
     }
 
-    fn number_of(&mut self, text: &[u8], name: Range<usize>) -> u32 {
-        if name.is_empty() {
-            return 0;
-        }
-        let next = self.materials.len() as u32 + 1;
-        match self.numbers.entry(decode(&text[name])) {
-            Entry::Occupied(known) => *known.get(),
-            Entry::Vacant(new) => {
-                self.materials.push(new.key().clone());
-                *new.insert(next)
-            }
+    /// Fails if the materials take more memory than they may.
+    fn check_materials(&self) -> Result<()> {
+        match mtl::bytes_of(&self.materials) + self.libraries.bytes() <= self.options.material_memory {
+            true => Ok(()),
+            false => Err(too_many_materials(self.error_path.clone(), self.materials.len())),
         }
     }
 
@@ -185,6 +172,14 @@ impl Sequel {
             }
         }
     }
+}
+
+/// The error for materials that do not fit in the memory, of which at least `count` are used.
+pub(super) fn too_many_materials(file: std::path::PathBuf, count: usize) -> Error {
+    let what = format!(
+        "the {count} and more materials that it uses do not fit in the memory allowed; allow more (about 1 KiB for each)"
+    );
+    Error::Input { file, what }
 }
 
 /// Sends on what a block holds.

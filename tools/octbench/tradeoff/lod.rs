@@ -113,8 +113,8 @@ fn draw(path: &Path, scene: &Scene, lod: f64) -> Result<Drawn> {
     let picture = render(&world, &Settings::default(), Monitor::silent())?;
     octree.fault()?;
     let beside = if lod > 0.0 { octree.detail_bytes() } else { 0 };
-    let bytes = beside + octree.used().map(|page| u64::from(page.stored_bytes)).sum::<u64>();
-    Ok(Drawn { picture, pages: octree.used().count() as u64, bytes })
+    let read = octree.figures();
+    Ok(Drawn { picture, pages: read.touched, bytes: beside + read.bytes_read })
 }
 
 /// A view in which the mesh's longest side takes so many pixels.

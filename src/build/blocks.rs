@@ -1,0 +1,215 @@
+//! Blocks of faces as they are read back, and their index: where each lies, how much is in it, and which parts of the
+//! tables its corners touch.
+//!
+//! The index stays in memory, some 40 to 800 bytes for each block of thousands of faces, and is written to a file when the scan
+//! is done, so that a killed build finds its faces again ([`super::scanned`]).
+
+use super::spool::Spool;
+use super::table::{FEW, Kind, PART};
+use crate::error::Result;
+use crate::mesh::{FaceBatch, NO_INDEX};
+
+/// Where a block lies and what is in it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Block {
+    /// Its first word in the spool.
+    pub at: u64,
+    pub first_id: u32,
+    /// Words of sizes, corners, texture coordinate numbers, normal numbers and materials.
+    pub lengths: [u32; 5],
+    /// Parts of the tables of positions, texture coordinates and normals that the corners touch; `None` = many.
+    pub touched: [Option<Box<[u32]>>; 3],
+}
+
+/// A face that was cut as it came: the ids of its triangles.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct LargeFace {
+    pub first_id: u32,
+    pub triangles: u32,
+}
+
+/// Triangles that the fan of a face has, or would have had if it is a gap.
+pub(super) fn triangles_of(size: u32) -> u32 {
+    if size & FaceBatch::GAP != 0 { size & !FaceBatch::GAP } else { size.saturating_sub(2) }
+}
+
+/// Corners of a face; a gap has none.
+pub(super) fn corners_of(size: u32) -> usize {
+    if size & FaceBatch::GAP != 0 { 0 } else { size as usize }
+}
+
+/// A block that has been read back.
+pub(super) struct LoadedBlock {
+    pub words: Vec<u32>,
+    pub first_id: u32,
+    pub lengths: [u32; 5],
+}
+
+/// The arrays of a block; as in [`FaceBatch`], but materials lie flat.
+pub(super) struct FaceView<'a> {
+    pub first_id: u32,
+    pub sizes: &'a [u32],
+    pub corners: &'a [u32],
+    pub texcoords: &'a [u32],
+    pub normals: &'a [u32],
+    pub materials: &'a [u32],
+}
+
+impl<'a> FaceView<'a> {
+    /// The numbers that name items of a table, one a corner; empty if no corner has one.
+    pub fn numbers(&self, kind: Kind) -> &'a [u32] {
+        match kind {
+            Kind::Position => self.corners,
+            Kind::Texcoord => self.texcoords,
+            Kind::Normal => self.normals,
+        }
+    }
+}
+
+impl LoadedBlock {
+    pub fn view(&self) -> FaceView<'_> {
+        let [sizes, corners, texcoords, normals, materials] = self.lengths.map(|length| length as usize);
+        let mut rest = &self.words[..];
+        let mut take = |n: usize| {
+            let (head, tail) = rest.split_at(n);
+            rest = tail;
+            head
+        };
+        FaceView {
+            first_id: self.first_id,
+            sizes: take(sizes),
+            corners: take(corners),
+            texcoords: take(texcoords),
+            normals: take(normals),
+            materials: take(materials),
+        }
+    }
+}
+
+/// The parts of a table that `numbers` touch, in order, if they are few.
+pub(super) fn touched(numbers: &[u32]) -> Option<Box<[u32]>> {
+    let mut parts: Vec<u32> = Vec::new();
+    let mut last = None;
+    for &number in numbers.iter().filter(|&&number| number != NO_INDEX) {
+        let part = number >> PART;
+        if last.replace(part) != Some(part) && !parts.contains(&part) {
+            if parts.len() == FEW {
+                return None;
+            }
+            parts.push(part);
+        }
+    }
+    parts.sort_unstable();
+    Some(parts.into())
+}
+
+/// Words that are gathered before they are written, or read at a time.
+const PIECE: usize = 1 << 14;
+/// Stands for the length of a list that is not there.
+const MANY: u32 = u32::MAX;
+
+/// Appends the index to a spool: each block as place (low word first), first id, lengths and three lists, each list after
+/// its length; then each large face as first id and number of triangles.
+pub(super) fn write(blocks: &[Block], large: &[LargeFace], spool: &mut Spool<'_>) -> Result<()> {
+    let mut words = Vec::with_capacity(2 * PIECE);
+    for block in blocks {
+        words.extend([block.at as u32, (block.at >> 32) as u32, block.first_id]);
+        words.extend(block.lengths);
+        for list in &block.touched {
+            words.push(list.as_ref().map_or(MANY, |list| list.len() as u32));
+            words.extend(list.iter().flat_map(|list| list.iter()));
+        }
+        if words.len() >= PIECE {
+            spool.append(&words)?;
+            words.clear();
+        }
+    }
+    spool.append(&words)?;
+    for faces in large.chunks(PIECE) {
+        words.clear();
+        words.extend(faces.iter().flat_map(|face| [face.first_id, face.triangles]));
+        spool.append(&words)?;
+    }
+    Ok(())
+}
+
+/// Reads back what [`write`] wrote; `None` if the spool does not hold so many blocks and large faces.
+pub(super) fn read(spool: &Spool<'_>, blocks: usize, large: usize) -> Option<(Vec<Block>, Vec<LargeFace>)> {
+    let mut words = Reader { spool, at: 0, words: Vec::new(), used: 0 };
+    let block = |words: &mut Reader<'_, '_>| {
+        let [low, high, first_id] = words.array()?;
+        let lengths = words.array()?;
+        let mut list = || match words.next()? {
+            MANY => Some(None),
+            len => (0..len).map(|_| words.next()).collect::<Option<Box<[u32]>>>().map(Some),
+        };
+        let touched = [list()?, list()?, list()?];
+        Some(Block { at: u64::from(high) << 32 | u64::from(low), first_id, lengths, touched })
+    };
+    let blocks = (0..blocks).map(|_| block(&mut words)).collect::<Option<_>>()?;
+    let face = |[first_id, triangles]: [u32; 2]| LargeFace { first_id, triangles };
+    let large = (0..large).map(|_| words.array().map(face)).collect::<Option<_>>()?;
+    Some((blocks, large))
+}
+
+/// Reads a spool word by word.
+struct Reader<'s, 'w> {
+    spool: &'s Spool<'w>,
+    at: u64,
+    words: Vec<u32>,
+    used: usize,
+}
+
+impl Reader<'_, '_> {
+    fn next(&mut self) -> Option<u32> {
+        if self.used == self.words.len() {
+            let rest = self.spool.len() - self.at;
+            self.words.resize(rest.min(PIECE as u64) as usize, 0);
+            self.spool.read(self.at, &mut self.words).ok()?;
+            (self.at, self.used) = (self.at + self.words.len() as u64, 0);
+        }
+        self.used += 1;
+        self.words.get(self.used - 1).copied()
+    }
+
+    fn array<const N: usize>(&mut self) -> Option<[u32; N]> {
+        let mut array = [0; N];
+        for word in &mut array {
+            *word = self.next()?;
+        }
+        Some(array)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::work::WorkFolder;
+
+    #[test]
+    fn an_index_is_read_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
+        let block = |i: u32| Block {
+            at: u64::from(i) << 30,
+            first_id: 7 * i,
+            lengths: [i, i + 1, 0, 3, 2],
+            touched: [Some((0..i % 60).collect()), None, Some([].into())],
+        };
+        let blocks: Vec<Block> = (0..3000).map(block).collect();
+        let large: Vec<LargeFace> = (0..40_000).map(|i| LargeFace { first_id: 9 * i, triangles: 5000 + i }).collect();
+        let mut spool = Spool::new(&work, "index", 0);
+        write(&blocks, &large, &mut spool).unwrap();
+        assert!(read(&spool, blocks.len(), large.len()) == Some((blocks.clone(), large.clone())));
+        assert!(read(&spool, blocks.len(), large.len() + 1).is_none());
+    }
+
+    #[test]
+    fn touched_parts_are_few_or_none() {
+        assert_eq!(touched(&[9 << PART, 1, NO_INDEX, 2, 9 << PART | 5]), Some([0, 9].into()));
+        assert_eq!(touched(&[]), Some([].into()));
+        let many: Vec<u32> = (0..=FEW as u32).map(|part| part << PART).collect();
+        assert_eq!(touched(&many), None);
+        assert_eq!(touched(&many[1..]).map(|list| list.len()), Some(FEW));
+    }
+}

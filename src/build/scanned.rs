@@ -1,0 +1,88 @@
+//! What is noted when the scan is done, so that a build that is killed while it joins need not read its source again.
+//!
+//! The tables and the faces lie in the work folder as they are, tables that are in memory as copies. An `index` file lists
+//! the blocks of faces and the faces that were cut as they came: it grows with the mesh, so it is no part of the state.
+//! Nothing is noted where the faces fit in memory: then the mesh is small for it, and quick to read again.
+
+use serde::{Deserialize, Serialize};
+
+use super::checkpoint::{MaterialState, State, bits, bounds, materials_of, states_of};
+use super::faces::{FaceCounts, Faces};
+use super::options::{BuildOptions, Tuning};
+use super::scan::Scan;
+use super::spool::Spool;
+use super::table::{Kind, Table};
+use super::work::WorkFolder;
+use crate::error::Result;
+use crate::mesh::SourceInfo;
+
+/// The outcome of the scan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct ScannedState {
+    /// Words of the tables of positions, texture coordinates and normals, of the faces, and of their index.
+    words: [u64; 5],
+    counts: FaceCounts,
+    too_few_corners: u64,
+    bad_index: u64,
+    bounds: [u32; 6],
+    materials: Vec<MaterialState>,
+}
+
+/// Names of the spools, in the order of [`ScannedState::words`].
+pub(super) const SPOOLS: [&str; 5] = ["positions", "texcoords", "normals", "faces", "index"];
+
+/// Notes what the scan found, if its faces are in a file and the source can be told from others.
+pub(super) fn note<'a>(scan: &mut Scan<'a>, work: &'a WorkFolder, options: &BuildOptions) -> Result<()> {
+    if !scan.faces.is_spilled() || !super::checkpoint::can_note(&scan.info.materials) || options.source.is_none() {
+        return Ok(());
+    }
+    let [positions, texcoords, normals] = scan.tables();
+    let [positions, texcoords, normals] =
+        [positions.copy_to_file()?, texcoords.copy_to_file()?, normals.copy_to_file()?];
+    let mut index = Spool::new(work, SPOOLS[4], 0);
+    index.spill()?;
+    scan.faces.write_index(&mut index)?;
+    let state = ScannedState {
+        words: [positions, texcoords, normals, scan.faces.words(), index.len()],
+        counts: scan.faces.counts(),
+        too_few_corners: scan.info.too_few_corners,
+        bad_index: scan.info.bad_index,
+        bounds: bits(scan.bounds),
+        materials: states_of(&scan.info.materials),
+    };
+    scan.index = Some(index);
+    State::scanned(options, state).map_or(Ok(()), |state| state.save(work))
+}
+
+/// The scan of a killed build, if all of it is there and its blocks are not too large for the memory of this one.
+pub(super) fn taken_up<'w>(state: &ScannedState, work: &'w WorkFolder, tuning: &Tuning) -> Option<Scan<'w>> {
+    if state.counts.block_corners > tuning.block_corners {
+        return None;
+    }
+    let spool = |i: usize| Spool::reopen(work, SPOOLS[i], state.words[i]);
+    let index = spool(4)?;
+    let mut scan = Scan {
+        positions: Table::new(spool(0)?, Kind::Position),
+        texcoords: Table::new(spool(1)?, Kind::Texcoord),
+        normals: Table::new(spool(2)?, Kind::Normal),
+        faces: Faces::reopen(spool(3)?, &index, &state.counts)?,
+        info: SourceInfo {
+            materials: materials_of(&state.materials),
+            too_few_corners: state.too_few_corners,
+            bad_index: state.bad_index,
+        },
+        bounds: bounds(state.bounds),
+        index: Some(index),
+    };
+    // What fits in memory is taken there again, the smallest first.
+    let mut room = tuning.table_words as u64;
+    let mut tables = scan.tables();
+    tables.sort_by_key(|table| table.len());
+    for table in tables {
+        if table.len() <= room {
+            room -= table.len();
+            table.recall().ok()?;
+        }
+    }
+    Some(scan)
+}
