@@ -281,7 +281,7 @@ fn drawn(octree: &Octree, scene: &Scene, lod: Option<f64>) -> (octrace::render::
         None => world,
     };
     let picture = render(&world, &Settings::default(), Monitor::silent()).unwrap();
-    (picture, octree.used().count())
+    (picture, octree.figures().touched as usize)
 }
 
 #[test]
