@@ -1,0 +1,207 @@
+//! What the tools do when the machine fails them: each call that reads, writes, syncs, renames or creates a file fails in turn, or the
+//! process is killed there. An older output survives, no temporary file is left unnamed, and nothing looks whole that is not.
+//!
+//! Calls are made to fail by a small library in C that is loaded before all others (`faults/shim.c`); where there is no C compiler, or the
+//! system is not Linux, the tests say so and pass.
+#![cfg(target_os = "linux")]
+
+#[path = "cli_tools/support.rs"]
+#[allow(dead_code, unused_macros, unused_imports)]
+mod support;
+
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+
+use support::*;
+
+const OLD: &[u8] = b"what was there before";
+const NO_SPACE: i32 = libc::ENOSPC;
+const BROKEN: i32 = libc::EIO;
+
+/// Runs of a tool with faults.
+struct Faults {
+    lab: Lab,
+    shim: PathBuf,
+    _folder: tempfile::TempDir,
+}
+
+impl Faults {
+    fn new() -> Option<Faults> {
+        let lab = Lab::new();
+        let folder = tempfile::tempdir().unwrap();
+        let shim = folder.path().join("shim.so");
+        let source = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faults/shim.c");
+        let compiled =
+            Command::new("cc").args(["-shared", "-fPIC", "-O1", "-o"]).arg(&shim).arg(source).arg("-ldl").status();
+        if !compiled.is_ok_and(|status| status.success()) {
+            println!("skipped: no C compiler");
+            return None;
+        }
+        Some(Faults { lab, shim, _folder: folder })
+    }
+
+    fn run(&self, line: &[&str], fault: &str) -> Output {
+        let mut command = self.lab.command(line[0], &line[1..]);
+        command.env("LD_PRELOAD", &self.shim).env("OCTRACE_FAULT", fault).output().unwrap()
+    }
+
+    /// How many calls of each kind a run makes that is left alone.
+    fn counts(&self, line: &[&str]) -> Vec<(String, u64)> {
+        let (file, mut command) = (self.lab.path("counts"), self.lab.command(line[0], &line[1..]));
+        let output = command.env("LD_PRELOAD", &self.shim).env("OCTRACE_FAULT_COUNTS", &file).output().unwrap();
+        assert!(output.status.success(), "{}", told(&output));
+        let text = std::fs::read_to_string(&file).unwrap();
+        std::fs::remove_file(&file).unwrap();
+        let count = |line: &str| line.split_once(' ').map(|(kind, n)| (kind.to_owned(), n.parse().unwrap()));
+        text.lines().filter_map(count).collect()
+    }
+}
+
+/// Up to `most` numbers of 1..=n: the first, the last, and some between.
+fn some(n: u64, most: u64) -> Vec<u64> {
+    let mut numbers: Vec<u64> =
+        (0..most).map(|i| 1 + i * n.saturating_sub(1) / most.saturating_sub(1).max(1)).collect();
+    numbers.retain(|i| *i <= n);
+    numbers.dedup();
+    numbers
+}
+
+/// At how many moments each kind of call fails: 4, or what OCTRACE_MOMENTS says.
+fn moments() -> u64 {
+    std::env::var("OCTRACE_MOMENTS").map_or(4, |text| text.parse().expect("OCTRACE_MOMENTS is a number"))
+}
+
+/// A sheet of some 300 thousand triangles: too large to be built in 64 MiB without temporary files.
+fn sheet(n: usize) -> String {
+    let mut text = String::new();
+    for i in 0..=n {
+        for j in 0..=n {
+            text += &format!("v {i} {j} {}\n", (i * 7 + j * 13) % 11);
+        }
+    }
+    for i in 0..n {
+        for j in 0..n {
+            let at = |i: usize, j: usize| i * (n + 1) + j + 1;
+            text += &format!(
+                "f {} {} {}\nf {} {} {}\n",
+                at(i, j),
+                at(i + 1, j),
+                at(i + 1, j + 1),
+                at(i, j),
+                at(i + 1, j + 1),
+                at(i, j + 1)
+            );
+        }
+    }
+    text
+}
+
+const BUILD: [&str; 10] =
+    ["octbuild", "sheet.obj", "-o", "out.oct", "-q", "--memory", "64M", "--threads", "2", "--brick=4000"];
+
+#[test]
+fn a_build_that_the_machine_fails_leaves_what_was_there() {
+    let Some(faults) = Faults::new() else { return };
+    let lab = &faults.lab;
+    lab.write("sheet.obj", sheet(420));
+    let counts = faults.counts(&BUILD);
+    let whole = lab.read("out.oct");
+    let mut failed = 0;
+    for (kind, count) in counts {
+        assert!(count > 0 || kind == "sync", "no call of the kind {kind} is seen");
+        for number in some(count, moments()) {
+            let error = if kind == "write" && number % 2 == 0 { NO_SPACE } else { BROKEN };
+            lab.write("out.oct", OLD);
+            let output = faults.run(&BUILD, &format!("{kind}:{number}:{error}"));
+            let (code, text) = (output.status.code(), told(&output));
+            let place = format!("{kind} {number} of {count}: {code:?} {text}");
+            assert_eq!(lab.files(), ["out.oct", "sheet.obj"], "{place}");
+            if code == Some(0) {
+                // The call did not matter (the folder could not be synced, say): then the file is whole.
+                assert!(lab.read("out.oct") == whole, "{place}");
+                continue;
+            }
+            assert_eq!(code, Some(4), "{place}");
+            assert!(
+                text.contains("error") && (text.contains(".o") || text.contains("temp")),
+                "no file is named: {place}"
+            );
+            assert!(lab.read("out.oct") == OLD, "{place}");
+            failed += 1;
+        }
+    }
+    assert!(failed >= 8, "only {failed} runs failed");
+}
+
+#[test]
+fn a_build_killed_anywhere_can_go_on() {
+    let Some(faults) = Faults::new() else { return };
+    let lab = &faults.lab;
+    lab.write("sheet.obj", sheet(420));
+    let counts = faults.counts(&BUILD);
+    let whole = lab.read("out.oct");
+    let mut killed = 0;
+    for (kind, count) in counts {
+        for number in some(count, moments()) {
+            lab.write("out.oct", OLD);
+            let output = faults.run(&BUILD, &format!("{kind}:{number}:kill"));
+            assert_eq!(output.status.signal(), Some(libc::SIGKILL), "{kind} {number}: {}", told(&output));
+            killed += 1;
+            let left = lab.read("out.oct");
+            assert!(left == OLD || left == whole, "{kind} {number}: something else has the output's name");
+            let named = |name: &String| ["out.oct", "sheet.obj"].contains(&&**name) || name.starts_with(".out.oct");
+            assert!(lab.files().iter().all(named), "{kind} {number}: {:?}", lab.files());
+            let line: Vec<&str> = BUILD[1..].iter().copied().chain(["--resume"]).collect();
+            lab.done("octbuild", &line);
+            assert!(lab.read("out.oct") == whole, "{kind} {number}: other bytes after --resume");
+            assert_eq!(lab.files(), ["out.oct", "sheet.obj"], "{kind} {number}");
+        }
+    }
+    assert!(killed >= 14, "only {killed} kills");
+}
+
+#[test]
+fn a_picture_that_cannot_be_written_leaves_what_was_there() {
+    let Some(faults) = Faults::new() else { return };
+    let lab = &faults.lab;
+    lab.write("sheet.obj", sheet(40));
+    lab.done("octbuild", &["sheet.obj", "-o", "sheet.oct", "-q"]);
+    let line = ["octrender", "sheet.oct", "-o", "out.png", "-q", "--size", "64x48", "--threads", "2"];
+    let counts = faults.counts(&line);
+    let whole = lab.read("out.png");
+    for (kind, count) in counts.iter().filter(|(kind, _)| kind != "read") {
+        for number in some(*count, 5) {
+            for fault in [BROKEN.to_string(), NO_SPACE.to_string(), "kill".to_owned()] {
+                lab.write("out.png", OLD);
+                let output = faults.run(&line, &format!("{kind}:{number}:{fault}"));
+                let (left, place) = (lab.read("out.png"), format!("{kind} {number} {fault}: {}", told(&output)));
+                match output.status.code() {
+                    Some(0) => assert!(left == whole, "{place}"),
+                    code => {
+                        assert!(left == OLD, "{place}");
+                        assert!(code.is_none() || code == Some(4), "{place}");
+                    }
+                }
+                let stray: Vec<_> = lab.files().into_iter().filter(|f| f.contains("tmp")).collect();
+                // A killed process cannot clean up; what it leaves has a name that says whose it is.
+                let allowed = |f: &String| output.status.signal().is_some() && f.starts_with(".octrace-");
+                assert!(stray.iter().all(allowed), "{place}: {stray:?}");
+                stray.iter().for_each(|f| std::fs::remove_file(lab.path(f)).unwrap());
+            }
+        }
+    }
+}
+
+#[test]
+fn a_file_that_cannot_be_read_is_named() {
+    let Some(faults) = Faults::new() else { return };
+    let lab = &faults.lab;
+    lab.write("sheet.obj", sheet(40));
+    lab.done("octbuild", &["sheet.obj", "-o", "sheet.oct", "-q"]);
+    let line = ["octbuild", "sheet.obj", "-o", "again.oct", "-q"];
+    let output = faults.run(&line, &format!("read:1:{BROKEN}"));
+    assert_eq!(output.status.code(), Some(4), "{}", told(&output));
+    assert!(told(&output).contains("sheet.obj"), "{}", told(&output));
+    assert_eq!(lab.files(), ["sheet.obj", "sheet.oct"]);
+}
