@@ -76,6 +76,37 @@ fn shapes_are_where_they_are() {
     assert!(scalars(&aovs, AovKind::Cost).iter().all(|&cost| cost == 0.0));
 }
 
+#[test]
+fn shadows_are_of_light_and_not_of_what_a_surface_makes_of_it() {
+    let mut scene = ball_before_wall();
+    let mirror = Material { local: 0.0, reflect: 1.0, ..Material::default() };
+    let black = Material { diffuse: DVec3::ZERO, specular: DVec3::ZERO, ..Material::default() };
+    scene.materials = vec![black, mirror];
+    let world = World::new(scene, Vec::new(), Monitor::silent()).unwrap();
+    let plain = World::new(ball_before_wall(), Vec::new(), Monitor::silent()).unwrap();
+    let [odd, plain] = [world, plain].map(|world| all(&world, Settings::default()));
+    assert_eq!(scalars(&odd, AovKind::Shadow), scalars(&plain, AovKind::Shadow));
+}
+
+#[test]
+fn work_is_counted_among_many_objects_too() {
+    let folder = tempfile::tempdir().unwrap();
+    let octree = sheet(folder.path());
+    let mut scene = with_sheet(octree.clone()).scene().clone();
+    // More than stand in a list; none is seen.
+    scene.shapes = (0..20)
+        .map(|i| {
+            let center = DVec3::new(f64::from(i), 50.0, 0.0);
+            let geometry = Geometry::Sphere { center, radius: 0.25, to_world: DAffine3::IDENTITY };
+            Shape { geometry, material: 1 }
+        })
+        .collect();
+    let world = World::new(scene, vec![octree], Monitor::silent()).unwrap();
+    let aovs = all(&world, Settings::default());
+    let (faces, cost) = (ids(&aovs, AovKind::Face), scalars(&aovs, AovKind::Cost));
+    assert!(faces.iter().zip(cost).filter(|x| *x.0 != u32::MAX).all(|x| *x.1 >= 8.0));
+}
+
 /// The planet of `octbench mesh` is not at hand here: a bumpy sheet of many pages.
 fn sheet(folder: &std::path::Path) -> Arc<Octree> {
     let n = 60;

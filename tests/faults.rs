@@ -109,7 +109,7 @@ fn a_build_that_the_machine_fails_leaves_what_was_there() {
     let whole = lab.read("out.oct");
     let mut failed = 0;
     for (kind, count) in counts {
-        assert!(count > 0 || kind == "sync", "no call of the kind {kind} is seen");
+        assert!(count > 0, "no call of the kind {kind} is seen");
         for number in some(count, moments()) {
             let error = if kind == "write" && number % 2 == 0 { NO_SPACE } else { BROKEN };
             lab.write("out.oct", OLD);
@@ -146,6 +146,11 @@ fn a_build_killed_anywhere_can_go_on() {
         for number in some(count, moments()) {
             lab.write("out.oct", OLD);
             let output = faults.run(&BUILD, &format!("{kind}:{number}:kill"));
+            if output.status.success() {
+                // Threads may share their work otherwise, and make a call fewer.
+                assert!(number == count && lab.read("out.oct") == whole, "{kind} {number} of {count} is not met");
+                continue;
+            }
             assert_eq!(output.status.signal(), Some(libc::SIGKILL), "{kind} {number}: {}", told(&output));
             killed += 1;
             let left = lab.read("out.oct");
@@ -170,6 +175,7 @@ fn a_picture_that_cannot_be_written_leaves_what_was_there() {
     let line = ["octrender", "sheet.oct", "-o", "out.png", "-q", "--size", "64x48", "--threads", "2"];
     let counts = faults.counts(&line);
     let whole = lab.read("out.png");
+    let mut failed = std::collections::BTreeMap::new();
     for (kind, count) in counts.iter().filter(|(kind, _)| kind != "read") {
         for number in some(*count, 5) {
             for fault in [BROKEN.to_string(), NO_SPACE.to_string(), "kill".to_owned()] {
@@ -179,6 +185,7 @@ fn a_picture_that_cannot_be_written_leaves_what_was_there() {
                 match output.status.code() {
                     Some(0) => assert!(left == whole, "{place}"),
                     code => {
+                        *failed.entry(kind.clone()).or_insert(0) += 1;
                         assert!(left == OLD, "{place}");
                         assert!(code.is_none() || code == Some(4), "{place}");
                     }
@@ -191,6 +198,7 @@ fn a_picture_that_cannot_be_written_leaves_what_was_there() {
             }
         }
     }
+    assert!(["write", "sync", "rename", "open"].iter().all(|kind| failed.contains_key(*kind)), "{failed:?}");
 }
 
 #[test]

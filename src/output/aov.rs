@@ -42,34 +42,35 @@ impl AovFormat {
 }
 
 /// Writes a picture of data, its kind by the suffix of `path`.
-pub fn save_aov(aov: &Aov, path: &Path) -> Result<()> {
+pub fn save_aov(aov: Aov, path: &Path) -> Result<()> {
     let bytes = encode_aov(aov, AovFormat::of(path)?)
         .map_err(|e| Error::Input { file: path.to_owned(), what: format!("cannot write this picture: {e}") })?;
     write(&bytes, path)
 }
 
 /// A picture of data as the bytes of a file.
-pub fn encode_aov(aov: &Aov, format: AovFormat) -> Result<Vec<u8>> {
+pub fn encode_aov(aov: Aov, format: AovFormat) -> Result<Vec<u8>> {
     let mut bytes = Cursor::new(Vec::new());
-    let failed = |e: &dyn std::fmt::Display| Error::Option(format!("{} x {} pixels: {e}", aov.width, aov.height));
+    let (width, height) = (aov.width, aov.height);
+    let failed = |e: &dyn std::fmt::Display| Error::Option(format!("{width} x {height} pixels: {e}"));
     match format {
         AovFormat::Exr => {
-            let size = (aov.width as usize, aov.height as usize);
+            let size = (width as usize, height as usize);
             let attributes = LayerAttributes::named(aov.kind.name());
             let layer = Layer::new(size, attributes, Encoding::FAST_LOSSLESS, AnyChannels::sort(channels(aov)));
             Image::from_layer(layer).write().to_buffered(&mut bytes).map_err(|e| failed(&e))?;
         }
-        AovFormat::Png => painted(aov).write_to(&mut bytes, ImageFormat::Png).map_err(|e| failed(&e))?,
+        AovFormat::Png => painted(&aov).write_to(&mut bytes, ImageFormat::Png).map_err(|e| failed(&e))?,
     }
     Ok(bytes.into_inner())
 }
 
 /// The channels of an EXR file.
-fn channels(aov: &Aov) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
-    match &aov.values {
+fn channels(aov: Aov) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
+    match aov.values {
         Values::Scalar(values) => {
             let name = if aov.kind == AovKind::Depth { "Z" } else { "Y" };
-            smallvec![AnyChannel::new(name, FlatSamples::F32(values.clone()))]
+            smallvec![AnyChannel::new(name, FlatSamples::F32(values))]
         }
         Values::Vector(values) => {
             let channel = |(axis, name): (usize, &str)| {
@@ -77,7 +78,7 @@ fn channels(aov: &Aov) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
             };
             ["X", "Y", "Z"].into_iter().enumerate().map(channel).collect()
         }
-        Values::Id(values) => smallvec![AnyChannel::new("id", FlatSamples::U32(values.clone()))],
+        Values::Id(values) => smallvec![AnyChannel::new("id", FlatSamples::U32(values))],
     }
 }
 
@@ -199,7 +200,7 @@ mod tests {
     #[test]
     fn exr_keeps_every_bit() {
         use exr::prelude::*;
-        let read = |aov: &Aov| {
+        let read = |aov: Aov| {
             let bytes = encode_aov(aov, AovFormat::Exr).unwrap();
             let reader = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
             let image = reader.all_attributes().from_buffered(Cursor::new(bytes)).unwrap();
@@ -207,20 +208,20 @@ mod tests {
             channels.into_iter().map(|c| (c.name.to_string(), c.sample_data)).collect::<Vec<_>>()
         };
         let depths = vec![0.0, 1.5e-30, f32::INFINITY, 16_777_217.0];
-        let back = read(&aov(AovKind::Depth, 2, Values::Scalar(depths.clone())));
+        let back = read(aov(AovKind::Depth, 2, Values::Scalar(depths.clone())));
         assert_eq!(back, [("Z".to_owned(), FlatSamples::F32(depths))]);
         let ids = vec![0, 16_777_217, u32::MAX, 4_000_000_001];
-        let back = read(&aov(AovKind::Face, 2, Values::Id(ids.clone())));
+        let back = read(aov(AovKind::Face, 2, Values::Id(ids.clone())));
         assert_eq!(back, [("id".to_owned(), FlatSamples::U32(ids))]);
         let vectors = vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [0.0; 3], [-1.0, -2.0, -3.0]];
-        let back = read(&aov(AovKind::Position, 2, Values::Vector(vectors)));
+        let back = read(aov(AovKind::Position, 2, Values::Vector(vectors)));
         assert_eq!(back[1], ("Y".to_owned(), FlatSamples::F32(vec![2.0, 5.0, 0.0, -2.0])));
     }
 
     #[test]
     fn false_colors_rise_with_the_value_and_nothing_is_black() {
         let values = (0..400).map(|i| if i == 7 { f32::INFINITY } else { i as f32 }).collect();
-        let bytes = encode_aov(&aov(AovKind::Depth, 200, Values::Scalar(values)), AovFormat::Png).unwrap();
+        let bytes = encode_aov(aov(AovKind::Depth, 200, Values::Scalar(values)), AovFormat::Png).unwrap();
         let image = image::load_from_memory(&bytes).unwrap().into_rgb8();
         assert_eq!(image.dimensions(), (200, 2 + LEGEND));
         assert_eq!((image.get_pixel(0, 0).0, image.get_pixel(199, 1).0), (scale(0.0), scale(1.0)));
@@ -233,7 +234,7 @@ mod tests {
         assert!((0..200).any(|x| image.get_pixel(x, 2 + 32).0[0] < 128));
         // A narrow one has no room for it.
         let bytes =
-            encode_aov(&aov(AovKind::Cost, 2, Values::Scalar(vec![0.0, 1.0, 2.0, 4.0])), AovFormat::Png).unwrap();
+            encode_aov(aov(AovKind::Cost, 2, Values::Scalar(vec![0.0, 1.0, 2.0, 4.0])), AovFormat::Png).unwrap();
         let image = image::load_from_memory(&bytes).unwrap().into_rgb8();
         assert_eq!((image.dimensions(), image.get_pixel(0, 1).0), ((2, 2), scale(0.5)));
     }

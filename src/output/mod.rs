@@ -81,7 +81,12 @@ fn write(bytes: &[u8], path: &Path) -> Result<()> {
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     let mut file = builder.tempfile_in(folder).map_err(Error::create(path))?;
     file.write_all(bytes).map_err(Error::io(path, "write"))?;
-    file.persist(&real).map_err(|e| e.error).map_err(Error::create(path))?;
+    // Else a machine that fails soon after may leave an empty file under the new name.
+    file.as_file().sync_all().map_err(Error::io(path, "write"))?;
+    let temporary = file.into_temp_path();
+    std::fs::rename(&temporary, &real).map_err(Error::create(path))?;
+    // It has gone: there is nothing to be removed.
+    let _ = temporary.keep();
     Ok(())
 }
 

@@ -5,6 +5,7 @@ use std::sync::Mutex;
 
 use rayon::prelude::*;
 
+use super::film;
 use super::tiles::{Job, Settings};
 use crate::error::{Error, Result};
 use crate::event::Monitor;
@@ -92,23 +93,20 @@ impl AovKind {
         !matches!(self, AovKind::Cost | AovKind::Pages)
     }
 
-    /// Values for so many pixels.
-    fn values(self, count: usize) -> Result<Values> {
-        let refuse = |_| Error::Option(format!("memory does not suffice for a picture of {}", self.name()));
-        Ok(match self {
-            AovKind::Normal | AovKind::Position => Values::Vector(filled(count, [0.0; 3]).map_err(refuse)?),
-            AovKind::Face | AovKind::Material => Values::Id(filled(count, u32::MAX).map_err(refuse)?),
-            AovKind::Depth => Values::Scalar(filled(count, f32::INFINITY).map_err(refuse)?),
-            AovKind::Cost | AovKind::Pages | AovKind::Shadow => Values::Scalar(filled(count, 0.0).map_err(refuse)?),
-        })
+    /// Bytes of a pixel.
+    fn bytes(self) -> u64 {
+        if matches!(self, AovKind::Normal | AovKind::Position) { 12 } else { 4 }
     }
-}
 
-fn filled<T: Clone>(count: usize, value: T) -> Result<Vec<T>, std::collections::TryReserveError> {
-    let mut values = Vec::new();
-    values.try_reserve_exact(count)?;
-    values.resize(count, value);
-    Ok(values)
+    /// Values for so many pixels.
+    fn values(self, count: usize) -> Values {
+        match self {
+            AovKind::Normal | AovKind::Position => Values::Vector(vec![[0.0; 3]; count]),
+            AovKind::Face | AovKind::Material => Values::Id(vec![u32::MAX; count]),
+            AovKind::Depth => Values::Scalar(vec![f32::INFINITY; count]),
+            AovKind::Cost | AovKind::Pages | AovKind::Shadow => Values::Scalar(vec![0.0; count]),
+        }
+    }
 }
 
 /// Pictures of data of a world, one for each of `kinds`, on the threads of the current rayon pool.
@@ -120,8 +118,12 @@ pub fn aovs(world: &World, settings: &Settings, kinds: &[AovKind], monitor: Moni
     let (width, height) = (job.width, job.height);
     monitor.phase("aov");
     let count = width as usize * height as usize;
-    let aov = |&kind: &AovKind| Ok(Aov { kind, width, height, values: kind.values(count)? });
-    let done = Mutex::new((kinds.iter().map(aov).collect::<Result<Vec<_>>>()?, 0u64));
+    // Each is encoded by itself, which takes about as much again.
+    let bytes =
+        kinds.iter().map(|kind| kind.bytes()).sum::<u64>() + kinds.iter().map(|kind| kind.bytes()).max().unwrap_or(0);
+    film::room_for(bytes * count as u64, || format!("{} pictures of data of {width} x {height}", kinds.len()))?;
+    let aov = |&kind: &AovKind| Aov { kind, width, height, values: kind.values(count) };
+    let done = Mutex::new((kinds.iter().map(aov).collect::<Vec<_>>(), 0u64));
     (0..height).into_par_iter().try_for_each_init(
         || Desk { wave: Wave::new(job.depth), looks: Vec::new(), work: Vec::new() },
         |desk, y| {

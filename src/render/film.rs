@@ -15,18 +15,11 @@ impl Film {
     pub fn new(width: u32, height: u32) -> Result<Film> {
         let count = u64::from(width) * u64::from(height);
         let bytes = count.saturating_mul(size_of::<[f32; 3]>() as u64);
-        let refuse = || {
-            let gib = bytes as f64 / f64::from(1 << 30);
-            Error::Option(format!(
-                "a picture of {width} x {height} needs {gib:.1} GiB of memory, more than there is; ask for a smaller size, or for parts with a crop"
-            ))
-        };
-        if available_memory().is_some_and(|free| bytes > free) {
-            return Err(refuse());
-        }
+        let what = || format!("a picture of {width} x {height}");
+        room_for(bytes, what)?;
         let mut pixels = Vec::new();
-        let count = usize::try_from(count).map_err(|_| refuse())?;
-        pixels.try_reserve_exact(count).map_err(|_| refuse())?;
+        let count = usize::try_from(count).map_err(|_| too_large(bytes, what))?;
+        pixels.try_reserve_exact(count).map_err(|_| too_large(bytes, what))?;
         pixels.resize(count, [0.0; 3]);
         Ok(Film { width, height, pixels })
     }
@@ -56,6 +49,21 @@ impl Film {
         let first = y as usize * self.width as usize + x as usize;
         self.pixels[first..first + row.len()].copy_from_slice(row);
     }
+}
+
+/// Whether so many bytes of memory are free, where the system tells; an error about `what` if not.
+pub(super) fn room_for(bytes: u64, what: impl FnOnce() -> String) -> Result<()> {
+    match available_memory() {
+        Some(free) if bytes > free => Err(too_large(bytes, what)),
+        _ => Ok(()),
+    }
+}
+
+/// The error about pictures that memory does not suffice for.
+pub(super) fn too_large(bytes: u64, what: impl FnOnce() -> String) -> Error {
+    let gib = bytes as f64 / f64::from(1 << 30);
+    let (what, more) = (what(), "more than there is; ask for a smaller size, or for parts with a crop");
+    Error::Option(format!("{what} needs {gib:.1} GiB of memory, {more}"))
 }
 
 /// Bytes of memory that are free, where the system tells.

@@ -87,14 +87,14 @@ impl World {
                 Kind::Mesh(placed) => self.nearer_each(object, placed, rays, contacts, batch)?,
                 _ => {
                     for (ray, best) in rays.iter().zip(&mut *contacts) {
-                        self.nearer(object, ray, Omit::NOTHING, best)?;
+                        self.nearer(object, ray, Omit::NOTHING, best, &mut batch.counters)?;
                     }
                 }
             }
         }
         if self.has_tree() {
             for (ray, best) in rays.iter().zip(contacts) {
-                self.nearer_in_tree(ray, Omit::NOTHING, best)?;
+                self.nearer_in_tree(ray, Omit::NOTHING, best, &mut batch.counters)?;
             }
         }
         Ok(())
@@ -159,14 +159,14 @@ impl World {
                 Kind::Mesh(placed) => self.any_of_mesh(number, placed, short, rays, omits, blocked, batch)?,
                 _ => {
                     for ((ray, &omit), blocked) in rays.iter().zip(&*omits).zip(&mut *blocked).filter(|x| !*x.1) {
-                        *blocked = object.any(&self.meshes, number, ray, omit)?;
+                        *blocked = object.any(&self.meshes, number, ray, omit, &mut batch.counters)?;
                     }
                 }
             }
         }
         if self.has_tree() {
             for ((ray, &omit), blocked) in rays.iter().zip(&*omits).zip(&mut *blocked).filter(|x| !*x.1) {
-                *blocked = self.any_in_tree(ray, omit)?;
+                *blocked = self.any_in_tree(ray, omit, &mut batch.counters)?;
             }
         }
         Ok(())

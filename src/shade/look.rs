@@ -7,6 +7,7 @@ use super::wave::Wave;
 use super::world::World;
 use crate::error::Result;
 use crate::geometry::FaceId;
+use crate::scene::{Color, Light};
 
 /// What a ray met first.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,8 +32,17 @@ impl World {
     pub fn look(&self, wave: &mut Wave, shadows: bool, looks: &mut Vec<Option<Look>>) -> Result<()> {
         self.strike(wave)?;
         if shadows {
+            // What a surface makes of the light, a mirror or a black wall nothing, is not the question here.
+            for struck in &mut wave.struck {
+                let surface = &mut struck.meeting.spot.surface;
+                (surface.local, surface.diffuse) = (1.0, Color::ONE);
+            }
             for light in &self.scene.lights {
-                self.shine(light, wave)?;
+                let mut light = *light;
+                match &mut light {
+                    Light::Point { color, .. } | Light::Sun { color, .. } => *color = Color::ONE,
+                }
+                self.shine(&light, wave)?;
             }
         }
         looks.clear();
@@ -68,6 +78,6 @@ impl World {
         }
         let before: usize = self.meshes[..placed.mesh].iter().map(|mesh| mesh.materials()).sum();
         let number = self.meshes[placed.mesh].material_number(found)?;
-        Ok(number.map_or(own, |number| (self.surfaces.len() + before) as u32 + number))
+        Ok(number.map_or(own, |number| (self.surfaces.len() + before).wrapping_add(number as usize) as u32))
     }
 }

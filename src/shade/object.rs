@@ -11,7 +11,7 @@ use crate::error::Result;
 use crate::exact::{self, Crossing, Line};
 use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip, Triangle};
 use crate::scene;
-use crate::trace::{Approximate, Found, Met, all_hits};
+use crate::trace::{Approximate, Counters, Found, Met, all_hits};
 
 /// One thing of the scene.
 #[derive(Debug)]
@@ -159,6 +159,7 @@ impl Object {
         ray: &WorldRay,
         tmax: f32,
         omit: Omit,
+        counters: &mut Counters,
     ) -> Result<Option<Contact>> {
         let omitted = omit.object == number;
         let contact = |t, part| Some(Contact { t, object: number, part });
@@ -166,7 +167,7 @@ impl Object {
             Kind::Mesh(placed) => {
                 let skip = if omitted { Skip::one(omit.face) } else { Skip::NONE };
                 let local = ray.seen_by(number, placed.to_local.as_ref(), tmax);
-                match meshes[placed.mesh].meet(&local, skip, || ray.footprint(placed))? {
+                match meshes[placed.mesh].meet(&local, skip, || ray.footprint(placed), counters)? {
                     Met::Nothing => None,
                     Met::Triangle(f) => contact(f.hit.t, Part::Mesh(f)),
                     Met::Surrogate(s) => contact(s.t, Part::Surrogate(s)),
@@ -213,20 +214,29 @@ impl Object {
                     found.extend(hit.map(|(_, hit)| Contact { t: hit.t, object: number, part: Part::Facet(i, hit) }));
                 }
             }
-            Kind::Ball(_) | Kind::Flat(_) => found.extend(self.closest(meshes, number, ray, ray.tmax, omit)?),
+            Kind::Ball(_) | Kind::Flat(_) => {
+                found.extend(self.closest(meshes, number, ray, ray.tmax, omit, &mut Counters::default())?)
+            }
         }
         Ok(())
     }
 
     /// Whether anything lies in `[tmin, tmax]`.
-    pub fn any(&self, meshes: &[Mesh], number: u32, ray: &WorldRay, omit: Omit) -> Result<bool> {
+    pub fn any(
+        &self,
+        meshes: &[Mesh],
+        number: u32,
+        ray: &WorldRay,
+        omit: Omit,
+        counters: &mut Counters,
+    ) -> Result<bool> {
         match &self.kind {
             Kind::Mesh(placed) => {
                 let skip = if omit.object == number { Skip::one(omit.face) } else { Skip::NONE };
                 let local = ray.seen_by(number, placed.to_local.as_ref(), ray.tmax);
-                meshes[placed.mesh].any(&local, skip, || ray.footprint(placed))
+                meshes[placed.mesh].any(&local, skip, || ray.footprint(placed), counters)
             }
-            _ => Ok(self.closest(meshes, number, ray, ray.tmax, omit)?.is_some()),
+            _ => Ok(self.closest(meshes, number, ray, ray.tmax, omit, counters)?.is_some()),
         }
     }
 }

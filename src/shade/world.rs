@@ -171,18 +171,25 @@ impl World {
 
     /// What the ray meets first: least t, then the object that comes first in the scene.
     pub fn closest(&self, ray: &WorldRay, omit: Omit) -> Result<Option<Contact>> {
-        let mut best = None;
+        let (mut best, counters) = (None, &mut Counters::default());
         for &object in &self.always {
-            self.nearer(object, ray, omit, &mut best)?;
+            self.nearer(object, ray, omit, &mut best, counters)?;
         }
-        self.nearer_in_tree(ray, omit, &mut best)?;
+        self.nearer_in_tree(ray, omit, &mut best, counters)?;
         Ok(best)
     }
 
     /// Puts the hit of an object in the place of `best` if it comes before that; how far the ray still matters then.
-    pub(super) fn nearer(&self, object: u32, ray: &WorldRay, omit: Omit, best: &mut Option<Contact>) -> Result<f32> {
+    pub(super) fn nearer(
+        &self,
+        object: u32,
+        ray: &WorldRay,
+        omit: Omit,
+        best: &mut Option<Contact>,
+        counters: &mut Counters,
+    ) -> Result<f32> {
         let tmax = best.map_or(ray.tmax, |b| b.t);
-        let found = self.objects[object as usize].closest(&self.meshes, object, ray, tmax, omit)?;
+        let found = self.objects[object as usize].closest(&self.meshes, object, ray, tmax, omit, counters)?;
         if let Some(found) = found
             && best.is_none_or(|b| found.before(&b))
         {
@@ -192,10 +199,16 @@ impl World {
     }
 
     /// The same for all objects in the tree.
-    pub(super) fn nearer_in_tree(&self, ray: &WorldRay, omit: Omit, best: &mut Option<Contact>) -> Result<()> {
+    pub(super) fn nearer_in_tree(
+        &self,
+        ray: &WorldRay,
+        omit: Omit,
+        best: &mut Option<Contact>,
+        counters: &mut Counters,
+    ) -> Result<()> {
         let Some(tree) = &self.tree else { return Ok(()) };
         let far = best.map_or(ray.tmax, |b| b.t);
-        tree.visit(ray.origin, ray.direction, ray.tmin, far, |object| self.nearer(object, ray, omit, best))
+        tree.visit(ray.origin, ray.direction, ray.tmin, far, |object| self.nearer(object, ray, omit, best, counters))
     }
 
     /// All that the ray meets, in no order.
@@ -237,20 +250,21 @@ impl World {
 
     /// Whether the ray meets anything.
     pub fn any(&self, ray: &WorldRay, omit: Omit) -> Result<bool> {
+        let counters = &mut Counters::default();
         for &object in &self.always {
-            if self.objects[object as usize].any(&self.meshes, object, ray, omit)? {
+            if self.objects[object as usize].any(&self.meshes, object, ray, omit, counters)? {
                 return Ok(true);
             }
         }
-        self.any_in_tree(ray, omit)
+        self.any_in_tree(ray, omit, counters)
     }
 
     /// Whether the ray meets anything in the tree.
-    pub(super) fn any_in_tree(&self, ray: &WorldRay, omit: Omit) -> Result<bool> {
+    pub(super) fn any_in_tree(&self, ray: &WorldRay, omit: Omit, counters: &mut Counters) -> Result<bool> {
         let Some(tree) = &self.tree else { return Ok(false) };
         let mut met = false;
         tree.visit(ray.origin, ray.direction, ray.tmin, ray.tmax, |object| -> Result<f32> {
-            met = self.objects[object as usize].any(&self.meshes, object, ray, omit)?;
+            met = self.objects[object as usize].any(&self.meshes, object, ray, omit, counters)?;
             Ok(if met { -1.0 } else { ray.tmax })
         })?;
         Ok(met)
@@ -269,29 +283,41 @@ impl Mesh {
     }
 
     /// What a ray meets first; with level of detail, if it has a width.
-    pub(super) fn meet(&self, ray: &Ray, skip: Skip, footprint: impl FnOnce() -> Footprint) -> Result<Met> {
+    pub(super) fn meet(
+        &self,
+        ray: &Ray,
+        skip: Skip,
+        footprint: impl FnOnce() -> Footprint,
+        counters: &mut Counters,
+    ) -> Result<Met> {
         let footprint = if self.pixels.is_some() { footprint() } else { Footprint::NONE };
         let mut met = [Met::Nothing];
         match self.pixels {
             Some(pixels) if footprint != Footprint::NONE => {
                 let rays = std::slice::from_ref(ray);
-                self.tracer.closest_coarse(rays, &[footprint], pixels, &mut met, &mut Counters::default())?;
+                self.tracer.closest_coarse(rays, &[footprint], pixels, &mut met, counters)?;
             }
-            _ => met = [self.tracer.closest(ray, skip)?.map_or(Met::Nothing, Met::Triangle)],
+            _ => met = [self.tracer.closest_counted(ray, skip, counters)?.map_or(Met::Nothing, Met::Triangle)],
         }
         Ok(met[0])
     }
 
     /// Whether a ray meets anything; with level of detail, if it has a width.
-    pub(super) fn any(&self, ray: &Ray, skip: Skip, footprint: impl FnOnce() -> Footprint) -> Result<bool> {
+    pub(super) fn any(
+        &self,
+        ray: &Ray,
+        skip: Skip,
+        footprint: impl FnOnce() -> Footprint,
+        counters: &mut Counters,
+    ) -> Result<bool> {
         let footprint = if self.pixels.is_some() { footprint() } else { Footprint::NONE };
         let mut blocked = [false];
         match self.pixels {
             Some(pixels) if footprint != Footprint::NONE => {
-                let (rays, counters) = (std::slice::from_ref(ray), &mut Counters::default());
+                let rays = std::slice::from_ref(ray);
                 self.tracer.any_coarse(rays, &[skip], &[footprint], pixels, &mut blocked, counters)?;
             }
-            _ => blocked = [self.tracer.any(ray, skip)?],
+            _ => blocked = [self.tracer.any_counted(ray, skip, counters)?],
         }
         Ok(blocked[0])
     }

@@ -144,14 +144,23 @@ fn wrong_usage_and_inputs_are_refused() {
         &["ball.oct", "--lod", "nan"],
         &["ball.oct", "--crop", "5,5,5,9"],
         &["ball.oct", "--crop", "0,0,9000,9"],
-        // Flags of later versions are not accepted and ignored.
-        &["ball.oct", "--memory", "1G"],
-        &["ball.oct", "--aov", "depth=d.exr"],
-        &["ball.oct", "--read", "mapped"],
+        &["ball.oct", "--memory", "1K"],
+        &["ball.oct", "--read", "twice"],
+        &["ball.oct", "--aov", "heat=d.exr"],
+        &["ball.oct", "--aov", "depth=d.jpg"],
+        &["ball.oct", "--aov", "depth=./ball.png", "-o", "ball.png"],
     ] {
         lab.fails(2, "octrender", args);
     }
     assert_eq!(lab.files(), ["ball.obj", "ball.oct", "folder"]);
+}
+
+#[test]
+fn pictures_of_data_are_written_beside_the_picture() {
+    let lab = Lab::with_ball();
+    lab.done("octrender", &["ball.oct", "--size", "8x8", "-q", "--aov", "depth=d.exr", "--aov", "cost=c.png"]);
+    assert_eq!(lab.files(), ["ball.obj", "ball.oct", "ball.png", "c.png", "d.exr"]);
+    assert_eq!(lab.read("d.exr")[..4], [0x76, 0x2f, 0x31, 0x01]);
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! Octree files that lie: whole ones changed where it hurts, half of them with every checksum made right again.
+//! Octree files that lie: whole ones changed where it hurts, three in four of them with every checksum made right again.
 
 use super::random::Random;
 
@@ -11,15 +11,15 @@ const HEADER_BYTES: usize = 4096;
 const PACKED: u32 = 1;
 
 fn u32_at(bytes: &[u8], at: usize) -> u32 {
-    bytes.get(at..at + 4).map_or(0, |b| u32::from_le_bytes(b.try_into().unwrap()))
+    bytes.get(at..).and_then(|b| b.first_chunk()).map_or(0, |b| u32::from_le_bytes(*b))
 }
 
 fn u64_at(bytes: &[u8], at: usize) -> u64 {
-    bytes.get(at..at + 8).map_or(0, |b| u64::from_le_bytes(b.try_into().unwrap()))
+    bytes.get(at..).and_then(|b| b.first_chunk()).map_or(0, |b| u64::from_le_bytes(*b))
 }
 
 fn put(bytes: &mut [u8], at: usize, value: &[u8]) {
-    if let Some(place) = bytes.get_mut(at..at + value.len()) {
+    if let Some(place) = bytes.get_mut(at..).and_then(|b| b.get_mut(..value.len())) {
         place.copy_from_slice(value);
     }
 }
@@ -43,7 +43,7 @@ fn pages(bytes: &[u8]) -> Vec<(usize, usize, usize)> {
     let count = (u32_at(bytes, PAGES) as usize).min(length / 32).min(1 << 16);
     let record = |i: usize| {
         let at = first.saturating_add(32 * i);
-        (at, u64_at(bytes, at) as usize, u32_at(bytes, at + 16) as usize)
+        (at, u64_at(bytes, at) as usize, u32_at(bytes, at.saturating_add(16)) as usize)
     };
     (0..count).map(record).collect()
 }
@@ -53,7 +53,7 @@ pub fn repair(bytes: &mut [u8]) {
     for (record, offset, length) in pages(bytes) {
         let sum = offset.checked_add(length).and_then(|end| bytes.get(offset..end)).map(checksum);
         if let Some(sum) = sum {
-            put(bytes, record + 8, &sum.to_le_bytes());
+            put(bytes, record.saturating_add(8), &sum.to_le_bytes());
         }
     }
     for (entry, _, offset, length) in sections(bytes) {
@@ -216,8 +216,8 @@ pub fn mutate(file: &mut Vec<u8>, random: &mut Random) -> bool {
             }
         }
     }
-    let honest = !random.once_in(4);
-    if honest {
+    let repaired = !random.once_in(4);
+    if repaired {
         if random.once_in(4)
             && let Some(packed) = packed(file)
         {
@@ -229,5 +229,5 @@ pub fn mutate(file: &mut Vec<u8>, random: &mut Random) -> bool {
         }
         repair(file);
     }
-    honest
+    repaired
 }

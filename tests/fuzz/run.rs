@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 
 use clap::Parser;
 use fuzz::seeds::Seeds;
-use fuzz::targets::{Outcome, TARGETS};
+use fuzz::targets::{self, Outcome, TARGETS};
 
 /// Longest that an input may take.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -57,16 +57,12 @@ fn main() -> ExitCode {
         return ExitCode::SUCCESS;
     }
     if let Some(file) = &args.file {
-        let target = target(args.target.as_deref().expect("--file needs --target"));
+        let target = targets::named(args.target.as_deref().expect("--file needs --target"));
         let folder = tempfile::tempdir().unwrap();
-        println!("{:?}", (TARGETS[target].run)(&std::fs::read(file).unwrap(), folder.path()));
+        println!("{:?}", (target.run)(&std::fs::read(file).unwrap(), folder.path()));
         return ExitCode::SUCCESS;
     }
     parent(&args)
-}
-
-fn target(name: &str) -> usize {
-    TARGETS.iter().position(|t| t.name == name).unwrap_or_else(|| panic!("no target {name}"))
 }
 
 /// The share of each target in a hundred inputs.
@@ -146,21 +142,25 @@ fn stretch(name: &str, mut first: u64, last: u64, keep: &Path, tally: &Mutex<Tal
             return;
         }
         tally.failures += 1;
+        let said = String::from_utf8_lossy(&child.stderr);
+        if record.is_empty() {
+            println!("{name}: the child did not begin: {}", said.trim());
+            return;
+        }
         let folder = tempfile::tempdir().unwrap();
         let input = Seeds::new(folder.path()).input(name, at);
         let file = keep.join(name).join(format!("{at}"));
         std::fs::create_dir_all(file.parent().unwrap()).unwrap();
         std::fs::write(&file, input).unwrap();
-        let said = String::from_utf8_lossy(&child.stderr);
         println!("{name} {at}: {} ({})\n{}", child.status, file.display(), said.trim());
-        first = at + 1;
+        first = at.max(first) + 1;
     }
 }
 
 /// Runs inputs one after the other; writes down which before it begins.
 fn child(args: &Args) {
     let name = args.target.as_deref().unwrap();
-    let target = &TARGETS[target(name)];
+    let target = targets::named(name);
     let folder = tempfile::tempdir().unwrap();
     let seeds = Seeds::new(folder.path());
     let mut place = std::fs::File::create(&args.keep).unwrap();

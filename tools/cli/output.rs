@@ -116,6 +116,12 @@ pub fn same_file(a: &Path, b: &Path) -> bool {
     matches!((a.canonicalize(), b.canonicalize()), (Ok(a), Ok(b)) if a == b)
 }
 
+/// Whether two paths name the same place, whether or not anything is there yet.
+pub fn same_place(a: &Path, b: &Path) -> bool {
+    let parent = |path: &Path| folder(path).canonicalize().ok();
+    same_file(a, b) || a.file_name() == b.file_name() && parent(a).is_some() && parent(a) == parent(b)
+}
+
 /// The folder that a file lies in.
 fn folder(path: &Path) -> &Path {
     path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))

@@ -34,13 +34,13 @@ pub fn check(aovs: &[AovFile], picture: &Place, input: &Path) -> Result<()> {
     for (i, AovFile { path, .. }) in aovs.iter().enumerate() {
         AovFormat::of(path)?;
         cli::output::check(path)?;
-        if cli::output::same_file(path, input) {
+        if cli::output::same_place(path, input) {
             return twice(path, "the input");
         }
-        if matches!(picture, Place::File(other) if other == path) {
+        if matches!(picture, Place::File(other) if cli::output::same_place(other, path)) {
             return twice(path, "the picture");
         }
-        if aovs[..i].iter().any(|other| other.path == *path) {
+        if aovs[..i].iter().any(|other| cli::output::same_place(&other.path, path)) {
             return twice(path, "another");
         }
     }
@@ -54,7 +54,7 @@ pub fn write(aovs: &[AovFile], world: &World, settings: &Settings, session: &Ses
     }
     let kinds: Vec<AovKind> = aovs.iter().map(|aov| aov.kind).collect();
     let pictures = render::aovs(world, settings, &kinds, session.monitor())?;
-    aovs.iter().zip(&pictures).try_for_each(|(aov, picture)| output::save_aov(picture, &aov.path))
+    aovs.iter().zip(pictures).try_for_each(|(aov, picture)| output::save_aov(picture, &aov.path))
 }
 
 #[cfg(test)]
@@ -70,8 +70,13 @@ mod tests {
         let picture = Place::File("p.png".into());
         let check = |text: &[&str]| check(&list(text), &picture, Path::new("scene.txt"));
         assert!(check(&["depth=d.exr", "cost=c.png"]).is_ok());
-        for wrong in [&["depth=d.exr", "cost=d.exr"][..], &["depth=p.png"], &["depth=d.jpg"], &["depth=no/such/d.exr"]]
-        {
+        for wrong in [
+            &["depth=d.exr", "cost=d.exr"][..],
+            &["depth=p.png"],
+            &["depth=./p.png"],
+            &["depth=d.jpg"],
+            &["depth=no/such/d.exr"],
+        ] {
             assert!(check(wrong).is_err(), "{wrong:?}");
         }
     }

@@ -124,7 +124,7 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     let world = World::new(scene, meshes.clone(), session.monitor())?.with_lod(lod.unwrap_or(0.0))?;
     let mut settings = Settings { size, samples, depth, crop, ..Settings::default() };
     if let Some(memory) = bound {
-        let plan = plan(&world, &settings, aov.len(), memory, &meshes)?;
+        let plan = plan(&world, &settings, aov.len(), lod.is_some(), memory, &meshes)?;
         (settings.tile, settings.wave) = (plan.tile, plan.wave);
         for (path, header) in paths.iter().zip(&headers) {
             reading::warning(path, header, memory).into_iter().for_each(|text| session.monitor().warn(text));
@@ -183,17 +183,27 @@ fn open(path: &Path, budgeted: bool) -> Result<Arc<Octree>> {
     Octree::open_with(path, read).map(Arc::new)
 }
 
-/// Shares the memory that is left out among waves of rays and the pages of all meshes. Each of the pictures of data takes its part too.
-fn plan(world: &World, settings: &Settings, aovs: usize, memory: u64, meshes: &[Arc<Octree>]) -> Result<Plan> {
+/// Shares the memory that is left out among waves of rays and the pages of all meshes. Each of the pictures of data takes its part too, and
+/// what there is for level of detail, if that is asked for.
+fn plan(
+    world: &World,
+    settings: &Settings,
+    aovs: usize,
+    lod: bool,
+    memory: u64,
+    meshes: &[Arc<Octree>],
+) -> Result<Plan> {
     let headers: Vec<_> = meshes.iter().map(|mesh| *mesh.header()).collect();
     let leasts = meshes.iter().map(|mesh| Octree::least_cache(mesh.path())).collect::<Result<Vec<_>>>()?;
     let least = leasts.iter().sum::<u64>();
     let plan_for = |memory| Plan::new(world.scene(), settings, aovs, rayon::current_num_threads(), memory, least);
+    let beside: u64 = if lod { meshes.iter().map(|mesh| mesh.detail_bytes()).sum() } else { 0 };
+    let memory = memory.saturating_sub(beside);
     let plan = match reading::left_of(memory, &headers) {
         Err(taken) => Err(taken + plan_for(0)?.err().unwrap_or(0)),
         Ok(left) => plan_for(left)?.map_err(|least| memory - left + least),
     };
-    let plan = plan.map_err(reading::too_small)?;
+    let plan = plan.map_err(|least| reading::too_small(least + beside))?;
     // By what each would take as a whole.
     let whole = |mesh: &Octree| mesh.records().iter().map(|record| u64::from(record.bytes)).sum::<u64>().max(1);
     let wholes: u64 = meshes.iter().map(|mesh| whole(mesh)).sum();

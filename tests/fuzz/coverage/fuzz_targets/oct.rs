@@ -1,6 +1,6 @@
 #![no_main]
 
-#[path = "../mod.rs"]
+#[path = "../../mod.rs"]
 #[allow(dead_code)]
 mod fuzz;
 
@@ -10,5 +10,5 @@ libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     fuzz::oct::repair(&mut bytes);
     let data = &bytes[..];
     let folder = tempfile::tempdir().unwrap();
-    (fuzz::targets::TARGETS[5].run)(data, folder.path());
+    (fuzz::targets::named("oct").run)(data, folder.path());
 });

@@ -1,10 +1,10 @@
 #![no_main]
 
-#[path = "../mod.rs"]
+#[path = "../../mod.rs"]
 #[allow(dead_code)]
 mod fuzz;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| {
     let folder = tempfile::tempdir().unwrap();
-    (fuzz::targets::TARGETS[4].run)(data, folder.path());
+    (fuzz::targets::named("ply").run)(data, folder.path());
 });
