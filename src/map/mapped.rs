@@ -19,29 +19,46 @@ impl Mapped {
         Mapped { map, sound: (0..pages).map(|_| AtomicBool::new(false)).collect() }
     }
 
-    /// A page; checked at its first use.
+    /// The pages as a visit needs them.
+    #[inline]
+    pub(super) fn sheets<'a>(&'a self, octree: &'a Octree) -> Sheets<'a> {
+        Sheets { map: &self.map, bytes: self.map.bytes(), records: octree.records(), sound: &self.sound }
+    }
+
+    /// The records of the pages that were used so far.
+    pub(super) fn used<'a>(&'a self, octree: &'a Octree) -> impl Iterator<Item = &'a PageRecord> {
+        let sound = self.sound.iter().map(|sound| sound.load(Ordering::Relaxed));
+        octree.records().iter().zip(sound).filter_map(|(record, sound)| sound.then_some(record))
+    }
+}
+
+/// A mapped file's pages.
+pub(super) struct Sheets<'a> {
+    map: &'a Mapping,
+    bytes: &'a [u8],
+    records: &'a [PageRecord],
+    sound: &'a [AtomicBool],
+}
+
+impl<'a> Sheets<'a> {
+    /// A page's bytes, if it was checked before.
     #[inline(always)]
-    pub(super) fn page<'a>(&'a self, octree: &'a Octree, id: PageId) -> Result<Page<'a>> {
-        let i = id.0 as usize;
-        if self.sound.get(i).is_some_and(|sound| sound.load(Ordering::Acquire)) {
-            let (Some(record), Some(brick)) = (octree.records().get(i), octree.bricks().get(i)) else {
-                return Err(octree.no_page(id));
-            };
-            return Ok(Page::new(self.bytes(record), brick, octree.flags()));
-        }
-        self.check(octree, id)
+    pub(super) fn bytes(&self, i: usize) -> Option<&'a [u8]> {
+        let known = self.sound.get(i)?.load(Ordering::Acquire);
+        let record = self.records.get(i).filter(|_| known)?;
+        Some(self.stored(record))
     }
 
     /// Checks a page and remembers that it is sound.
     #[cold]
-    fn check<'a>(&'a self, octree: &'a Octree, id: PageId) -> Result<Page<'a>> {
+    pub(super) fn check(&self, octree: &Octree, id: PageId) -> Result<Page<'a>> {
         let i = id.0 as usize;
-        let (Some(record), Some(brick)) = (octree.records().get(i), octree.bricks().get(i)) else {
+        let (Some(record), Some(brick)) = (self.records.get(i), octree.bricks().get(i)) else {
             return Err(octree.no_page(id));
         };
         let Header { flags, materials, source_triangles, .. } = *octree.header();
         self.map.fetch(record.offset as usize, record.stored_bytes as usize);
-        let bytes = self.bytes(record);
+        let bytes = self.stored(record);
         let outcome = match checksum(bytes) == record.checksum {
             true => validate_page(bytes, id, record, flags, materials, source_triangles),
             false => Err("its checksum is wrong".into()),
@@ -55,14 +72,8 @@ impl Mapped {
 
     /// A page's bytes; empty if the record is not as it was when it was checked.
     #[inline]
-    fn bytes(&self, record: &PageRecord) -> &[u8] {
+    fn stored(&self, record: &PageRecord) -> &'a [u8] {
         let begin = record.offset as usize;
-        self.map.bytes().get(begin..begin.saturating_add(record.stored_bytes as usize)).unwrap_or(&[])
-    }
-
-    /// The records of the pages that were used so far.
-    pub(super) fn used<'a>(&'a self, octree: &'a Octree) -> impl Iterator<Item = &'a PageRecord> {
-        let sound = self.sound.iter().map(|sound| sound.load(Ordering::Relaxed));
-        octree.records().iter().zip(sound).filter_map(|(record, sound)| sound.then_some(record))
+        self.bytes.get(begin..begin.saturating_add(record.stored_bytes as usize)).unwrap_or(&[])
     }
 }

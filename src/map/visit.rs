@@ -1,10 +1,10 @@
 //! Readers of an octree's pages.
 
 use super::cache::Reader;
-use super::mapped::Mapped;
+use super::mapped::Sheets;
 use super::{Octree, Page, Pages};
 use crate::error::{Error, Result};
-use crate::format::PageId;
+use crate::format::{Brick, Flags, PageId};
 
 /// A reader of an octree's pages: what it was given stays in memory while it lives.
 ///
@@ -12,11 +12,14 @@ use crate::format::PageId;
 /// holds may be what has to go first.
 pub struct Visit<'o> {
     octree: &'o Octree,
+    /// The file's, looked up once.
+    bricks: &'o [Brick],
+    flags: Flags,
     access: Access<'o>,
 }
 
 enum Access<'o> {
-    Mapped(&'o Mapped),
+    Mapped(Sheets<'o>),
     Cached(Reader<'o>),
 }
 
@@ -50,10 +53,10 @@ impl Octree {
     #[inline]
     pub fn visit(&self) -> Visit<'_> {
         let access = match &self.pages {
-            Pages::Mapped(mapped) => Access::Mapped(mapped),
+            Pages::Mapped(mapped) => Access::Mapped(mapped.sheets(self)),
             Pages::Cached(cache) => Access::Cached(cache.reader()),
         };
-        Visit { octree: self, access }
+        Visit { octree: self, bricks: self.bricks(), flags: self.flags(), access }
     }
 }
 
@@ -69,16 +72,24 @@ impl Visit<'_> {
     /// Several threads may check the same page at once, to the same end. A page that fails does so at every use.
     #[inline(always)]
     pub fn page(&self, id: PageId) -> Result<Page<'_>, Halt> {
+        let i = id.0 as usize;
+        let bytes = match &self.access {
+            Access::Mapped(sheets) => sheets.bytes(i),
+            Access::Cached(reader) => reader.bytes(i),
+        };
+        match (bytes, self.bricks.get(i)) {
+            (Some(bytes), Some(brick)) => Ok(Page::new(bytes, brick, self.flags)),
+            _ => self.missing(id),
+        }
+    }
+
+    /// A page that was not given: of a mapped file it is checked now.
+    #[cold]
+    fn missing(&self, id: PageId) -> Result<Page<'_>, Halt> {
         match &self.access {
-            Access::Mapped(mapped) => mapped.page(self.octree, id).map_err(Halt::Failed),
-            Access::Cached(reader) => {
-                let (bytes, brick) = (reader.bytes(id.0 as usize), self.octree.bricks().get(id.0 as usize));
-                match (bytes, brick) {
-                    (Some(bytes), Some(brick)) => Ok(Page::new(bytes, brick, self.octree.flags())),
-                    (_, None) => Err(Halt::Failed(self.octree.no_page(id))),
-                    (None, _) => Err(Halt::Absent(id)),
-                }
-            }
+            Access::Mapped(sheets) => sheets.check(self.octree, id).map_err(Halt::Failed),
+            Access::Cached(_) if (id.0 as usize) < self.bricks.len() => Err(Halt::Absent(id)),
+            Access::Cached(_) => Err(Halt::Failed(self.octree.no_page(id))),
         }
     }
 }

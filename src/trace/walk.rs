@@ -66,6 +66,9 @@ pub(super) const CACHED: u64 = 4 << 20;
 pub(super) struct File<'a> {
     visit: &'a Visit<'a>,
     octree: &'a Octree,
+    /// The file's top nodes and bricks, looked up once.
+    top: &'a [Node],
+    bricks: &'a [Brick],
     /// Bytes of a unit of leaf offsets.
     unit: usize,
     /// Whether a single walk asks ahead.
@@ -94,7 +97,8 @@ impl<'a> File<'a> {
     pub fn new(visit: &'a Visit<'a>, scene: &'a Scene) -> File<'a> {
         let octree = visit.octree();
         let uncached = octree.header().file_bytes > CACHED;
-        File { visit, octree, unit: octree.leaf_unit().bytes(), uncached, scene }
+        let (top, bricks) = (octree.top_nodes(), octree.bricks());
+        File { visit, octree, top, bricks, unit: octree.leaf_unit().bytes(), uncached, scene }
     }
 
     /// The root of the top, or of the only page.
@@ -222,7 +226,7 @@ impl<'a> File<'a> {
     #[inline(always)]
     pub fn view(&self, number: u32) -> Result<View<'a>, Halt> {
         if number == TOP {
-            return Ok(View { nodes: self.octree.top_nodes(), number, page: None });
+            return Ok(View { nodes: self.top, number, page: None });
         }
         let page = self.visit.page(PageId(number))?;
         Ok(View { nodes: page.nodes(), number, page: Some(page) })
@@ -251,7 +255,7 @@ impl<'a> File<'a> {
     /// The brick of that number among those of a top node.
     #[inline(always)]
     pub fn brick(&self, number: u32) -> Option<&'a Brick> {
-        self.octree.bricks().get(number as usize)
+        self.bricks.get(number as usize)
     }
 }
 
