@@ -75,7 +75,10 @@ impl World {
         let surface = self.surfaces[object.material];
         match (&object.kind, &contact.part) {
             (Kind::Mesh(placed), Part::Mesh(found)) => self.on_mesh(contact.object, placed, found, ray, surface),
-            (Kind::Mesh(placed), Part::Surrogate(met)) => Ok(on_surrogate(contact.object, placed, met, ray, surface)),
+            (Kind::Mesh(placed), Part::Surrogate(met)) => {
+                let own = placed.mtl && self.meshes[placed.mesh].materials() > 0;
+                Ok(on_surrogate(contact.object, placed, met, ray, (surface, own)))
+            }
             (Kind::Facets(facets), Part::Facet(i, hit)) => {
                 let place = Place::of(contact.object, &facets.all()[*i as usize], FaceId(*i), [hit.u, hit.v]);
                 Ok(place.spot(None, ray, surface).0)
@@ -127,8 +130,14 @@ impl World {
     }
 }
 
-/// A place on a node that stands for its triangles.
-fn on_surrogate(object: u32, placed: &Placed, met: &Approximate, ray: &WorldRay, surface: Surface) -> Spot {
+/// A place on a node that stands for its triangles, of the scene's surface or, if the mesh has one of its `own`, with the colour of that.
+fn on_surrogate(
+    object: u32,
+    placed: &Placed,
+    met: &Approximate,
+    ray: &WorldRay,
+    (surface, own): (Surface, bool),
+) -> Spot {
     let normal = (placed.normals * DVec3::from_array(met.normal)).normalize_or(DVec3::Y);
     let front = ray.direction.dot(normal) < 0.0;
     let record = MaterialRecord { kd: met.color.map(|c| c as f32), given: 2, ..Default::default() };
@@ -139,7 +148,7 @@ fn on_surrogate(object: u32, placed: &Placed, met: &Approximate, ray: &WorldRay,
         normal,
         shading: normal,
         front: true,
-        surface: if placed.mtl { surface.overlaid(&record, None, None) } else { surface }.of_facets(met.agreement),
+        surface: if own { surface.overlaid(&record, None, None) } else { surface }.of_facets(met.agreement),
         anchor: Anchor::Surrogate { lift: met.deviation * scale, clear: met.reach * scale },
     };
     spot.seen(front)
