@@ -218,12 +218,9 @@ fn needles(n: usize) -> String {
 
 #[test]
 fn strict_octrees() {
-    check_with(
-        "strict",
-        strip(400_000, false, |faces| Random(7).shuffle(faces)),
-        &["--split", "strict", "--cell", "4"],
-    );
-    check_with("strict_needles", needles(150_000), &["--split", "strict", "--brick", "4096"]);
+    let flags = ["--split", "strict", "--brick", "4096", "--cell"];
+    check_with("strict", strip(400_000, false, |faces| Random(7).shuffle(faces)), &[&flags[..], &["4"]].concat());
+    check_with("strict_needles", needles(150_000), &[&flags[..], &["16"]].concat());
 }
 
 #[test]
