@@ -100,7 +100,7 @@ fn wrong_usage_and_inputs_are_refused() {
         &[][..],
         &["a.oct", "--repeat", "0"],
         &["a.oct", "--stats", "-"],
-        &["a.oct", "--memory", "1G"],
+        &["a.oct", "--memory", "1K"],
         &["missing.oct"],
         &["a.obj"],
     ] {
