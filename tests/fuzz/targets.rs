@@ -40,7 +40,7 @@ pub const TARGETS: [Target; 7] = [
 
 /// Longest line and most memory for hostile meshes.
 fn reading(lenient: bool) -> ReadOptions {
-    ReadOptions { lenient, block: 64 << 10, longest_line: 1 << 20, most_materials: 1 << 12, ..ReadOptions::default() }
+    ReadOptions { lenient, block: 64 << 10, longest_line: 1 << 20, material_memory: 4 << 20, ..ReadOptions::default() }
 }
 
 /// Every message must say something, and never ends in a line break.
