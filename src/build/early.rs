@@ -11,10 +11,14 @@
 //! the cell's side. All cuts are counted by classes of that (a quarter of an octave each); the best are made, as many classes as fit into
 //! [`SHARE`] of the triangles. A part is never cut for a better reason than what it was cut from, so that what is
 //! counted is what is made. Then boxes of bricks are compared: unless their surface falls below [`GAIN`] of what it is without
-//! cuts, none is made.
+//! cuts, none is made. Only then are records of parts written.
 //!
-//! All of that is sums of integers and unions of boxes over all triangles, so that it does not depend on memory, threads, or the order of
-//! triangles. Cells are counted down to a fixed level, whatever the memory.
+//! All of that is sums of integers and unions of boxes over all triangles, so that it does not depend on memory or threads. Nor does it
+//! depend on the order of triangles, but for one thing: of a block of the file's triangles no more than [`BLOCK_CUTS`] cuts are counted, and no class
+//! of which one was left out is made. Cells are counted down to a fixed level, whatever the memory.
+//!
+//! Memory: counts of 1.2 MB; parts of the blocks that are looked at together, within a wave's share; and twice the boxes of all bricks, some
+//! 100 bytes each, a quarter of what the directory of so many pages is allowed. A mesh of more bricks than that allows is refused, as it would be later.
 //!
 //! Boxes of parts come from [`super::subtree::cut_box`], rounded outward: every point of a triangle lies in the box of one of its parts.
 //!
@@ -37,7 +41,6 @@ use super::options::Tuning;
 use super::record::Layout;
 use super::spool::Spool;
 use super::subtree::{Bounds, cell_of, cut_box};
-use super::work::WorkFolder;
 
 /// Most references that cuts may add, in hundredths of the triangles.
 const SHARE: u64 = 25;
@@ -50,7 +53,9 @@ const FINEST: u32 = 6;
 /// Records that are looked at together.
 const BLOCK: usize = 256;
 /// Most cuts that are counted, and so made, in a block, lest a heap of huge triangles never ends: those left out are the least.
-const BLOCK_CUTS: usize = 1 << 14;
+pub(super) const BLOCK_CUTS: usize = 1 << 14;
+/// Bytes that a brick's box takes in [`Boxes`], about.
+const BOX_BYTES: usize = 100;
 /// Classes of cuts, four from one power of two to the next, of which the last ends at the root's side squared.
 const CLASSES: usize = 96;
 
@@ -60,12 +65,14 @@ pub(super) struct Early<'a> {
     pub layout: Layout,
     /// The longest side of any triangle's box.
     pub longest: f32,
+    /// Most cuts of a block: [`BLOCK_CUTS`], but for tests.
+    pub block_cuts: usize,
     pub tuning: &'a Tuning,
     pub monitor: Monitor<'a>,
 }
 
 /// What there is to cut, and how much.
-struct Cuts<'a> {
+pub(super) struct Cuts<'a> {
     early: &'a Early<'a>,
     grid: Grid,
     /// Cuts of lower classes are not made.
@@ -94,8 +101,8 @@ impl Early<'_> {
         f64::from(self.longest) * 1.001 > length * self.rule.placement.root.side()
     }
 
-    /// The parts of all triangles; `None` if cutting does not pay.
-    pub fn cut<'w>(&self, records: &Spool<'_>, work: &'w WorkFolder) -> Result<Option<Spool<'w>>> {
+    /// What is to be cut, and how many parts that makes of all triangles, uncut ones included; `None` if cutting does not pay.
+    pub fn find(&self, records: &Spool<'_>) -> Result<Option<(Cuts<'_>, u64)>> {
         let extents = [Extent { at: 0, words: records.len() }];
         let records = Records { spool: records, extents: &extents, layout: self.layout };
         let mut cuts = Cuts { early: self, grid: self.count(records)?, least: CLASSES };
@@ -103,12 +110,17 @@ impl Early<'_> {
         if !self.is_longer(SLACK / f64::from(1u32 << deepest)) {
             return Ok(None);
         }
-        let triangles = cuts.grid.held(CellCode::ROOT);
-        cuts.least = cuts.lowest_class(records, triangles * SHARE / 100)?;
+        cuts.least = cuts.lowest_class(records, most_cuts(cuts.grid.held(CellCode::ROOT)))?;
         if cuts.least == CLASSES {
             return Ok(None);
         }
-        cuts.make(records, Spool::new(work, "parts", self.tuning.record_words))
+        let parts = cuts.gain(records)?;
+        Ok(parts.map(|parts| (cuts, parts)))
+    }
+
+    /// The layout of records of parts.
+    pub fn with_parts(&self) -> Layout {
+        Layout { parts: true, ..self.layout }
     }
 
     /// Triangles in cells, by the centres of their boxes.
@@ -133,8 +145,9 @@ impl Early<'_> {
         mut take: impl FnMut(T) -> Result<()>,
     ) -> Result<()> {
         let words = self.layout.words();
-        let part_bytes = 4 * Layout { parts: true, ..self.layout }.words();
-        let wave = (self.tuning.wave_bytes as usize / ((BLOCK + BLOCK_CUTS) * part_bytes)).clamp(1, 256);
+        // The parts themselves, or their boxes by cells before and after.
+        let part_bytes = (4 * self.with_parts().words()).max(2 * BOX_BYTES);
+        let wave = (self.tuning.wave_bytes as usize / ((BLOCK + self.block_cuts) * part_bytes)).clamp(1, 256);
         let piece = (self.tuning.piece as usize / BLOCK).max(1) * BLOCK;
         records.pieces(piece as u64, self.monitor, |piece| {
             piece.chunks(wave * BLOCK * words).try_for_each(|blocks| {
@@ -143,6 +156,11 @@ impl Early<'_> {
             })
         })
     }
+}
+
+/// Most cuts to be made in so many triangles: references are numbered in 32 bits, of which the highest number stands for none.
+fn most_cuts(triangles: u64) -> u64 {
+    (triangles * SHARE / 100).min(u64::from(u32::MAX - 1).saturating_sub(triangles))
 }
 
 /// The class of a cut that spares so much, in units of the root's side, squared.
@@ -216,7 +234,7 @@ impl Cuts<'_> {
             let part = layout.bounds(record);
             heap.extend(self.choose(part).map(|chosen| entry(CLASSES, number, part, chosen)));
         }
-        for _ in 0..BLOCK_CUTS {
+        for _ in 0..self.early.block_cuts {
             let Some((class, record, bits, axis, plane)) = heap.pop() else { return (counts, 0) };
             counts[class] += 1;
             let triangle = layout.triangle(&words[record * layout.words()..]);
@@ -239,29 +257,47 @@ impl Cuts<'_> {
         }
     }
 
-    /// Writes the parts; `None` if it does not pay.
-    fn make<'w>(&self, records: Records<'_>, mut spool: Spool<'w>) -> Result<Option<Spool<'w>>> {
+    /// How many parts there would be; `None` if it does not pay.
+    fn gain(&self, records: Records<'_>) -> Result<Option<u64>> {
         let (layout, root) = (self.early.layout, self.early.rule.placement.root);
-        let with_parts = Layout { parts: true, ..layout };
-        let (mut before, mut after) = (Boxes::default(), Boxes::default());
+        let (mut before, mut after, mut parts) = (Boxes::default(), Boxes::default(), 0);
         let block = |words: &[u32]| {
-            let (mut out, mut before, mut after) = (Vec::new(), Boxes::default(), Boxes::default());
+            let (mut before, mut after, mut parts) = (Boxes::default(), Boxes::default(), 0);
             for record in words.chunks_exact(layout.words()) {
                 let whole = layout.bounds(record);
                 before.add(self.cell(whole), Bounds::of(whole, root));
                 self.parts(&layout.triangle(record), whole, &mut |part| {
                     after.add(self.cell(part), Bounds::of(part, root));
-                    with_parts.write_part(record, part, &mut out);
+                    parts += 1;
                 });
             }
-            (out, before, after)
+            (before, after, parts)
         };
-        self.early.blocks(records, block, |(words, more_before, more_after)| {
+        self.early.blocks(records, block, |(more_before, more_after, more)| {
             before.merge(more_before);
             after.merge(more_after);
-            spool.append(&words)
+            parts += more;
+            // Each of these is a page at least.
+            self.early.tuning.check_pages(before.0.len().max(after.0.len()) as u64)
         })?;
-        Ok((after.surface() < GAIN * before.surface()).then_some(spool))
+        Ok((after.surface() < GAIN * before.surface()).then_some(parts))
+    }
+
+    /// Writes the parts of all triangles, in the order of these, to `spool`.
+    pub fn write<'w>(&self, records: &Spool<'_>, mut spool: Spool<'w>) -> Result<Spool<'w>> {
+        let (layout, with_parts) = (self.early.layout, self.early.with_parts());
+        let extents = [Extent { at: 0, words: records.len() }];
+        let records = Records { spool: records, extents: &extents, layout };
+        let block = |words: &[u32]| {
+            let mut out = Vec::new();
+            for record in words.chunks_exact(layout.words()) {
+                let mut take = |part| with_parts.write_part(record, part, &mut out);
+                self.parts(&layout.triangle(record), layout.bounds(record), &mut take);
+            }
+            out
+        };
+        self.early.blocks(records, block, |words| spool.append(&words))?;
+        Ok(spool)
     }
 }
 
@@ -286,14 +322,4 @@ impl Boxes {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn classes_rise_with_what_is_spared() {
-        assert_eq!([1.0, 0.99, 0.5, 0.49, 0.25].map(class_of), [95, 95, 92, 91, 88]);
-        // The least cut of all: what reaches out of the least cell by the slack.
-        let least = SLACK * 4f64.powi(-(FINEST as i32));
-        assert!(class_of(least) > 0 && class_of(0.0) == 0);
-    }
-}
+mod tests;

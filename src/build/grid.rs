@@ -40,7 +40,7 @@ impl CellCode {
     }
 }
 
-/// How triangles belong to cells: by one point of theirs, or in every cell they overlap.
+/// How triangles belong to cells: by the centre of their box (or of their part's), or in every cell they overlap.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Placement {
     pub root: RootCube,
@@ -53,25 +53,16 @@ impl Placement {
         self.split == SplitMode::Strict
     }
 
-    /// Calls `visit` for `from` and the cells below it that the triangle belongs to, parents first; a cell is gone into
-    /// if `visit` says so. The triangle must belong to `from`.
-    pub fn descend(self, triangle: &Triangle, from: CellCode, visit: &mut impl FnMut(CellCode) -> bool) {
-        if self.repeats() {
-            self.descend_overlaps(triangle, from, visit);
-        } else {
-            let code = cell_of(self.root, Aabb::from(triangle));
-            let at = |level: u32| CellCode { level, code: code >> (3 * (morton::BITS - level)) };
-            let _ = (from.level..=morton::BITS).all(|level| visit(at(level)));
-        }
-    }
-
-    fn descend_overlaps(self, triangle: &Triangle, cell: CellCode, visit: &mut impl FnMut(CellCode) -> bool) {
-        if !visit(cell) || cell.level == morton::BITS {
+    /// Where triangles repeat: calls `visit` for `from` and the cells below it that the triangle overlaps, parents first; a cell is
+    /// gone into if `visit` says so. The triangle must overlap `from`.
+    fn descend(self, triangle: &Triangle, from: CellCode, visit: &mut impl FnMut(CellCode) -> bool) {
+        debug_assert!(self.repeats(), "elsewhere a triangle, or a part of one, is in one cell of each level");
+        if !visit(from) || from.level == morton::BITS {
             return;
         }
-        for child in (0..8).map(|octant| cell.octant(octant)) {
+        for child in (0..8).map(|octant| from.octant(octant)) {
             if overlaps(self.root, child.cell(), triangle) {
-                self.descend_overlaps(triangle, child, visit);
+                self.descend(triangle, child, visit);
             }
         }
     }
@@ -91,7 +82,7 @@ impl Grid {
         Grid { from, levels: (0..=finest - from.level).map(zeros).collect() }
     }
 
-    /// Counts a triangle in every cell it belongs to, or in the finest alone where there is one of each level.
+    /// Counts a whole triangle in every cell it belongs to, or in the finest alone where there is one of each level.
     pub fn count(&self, triangle: &Triangle, placement: Placement) {
         if !placement.repeats() {
             return self.count_box(Aabb::from(triangle), placement.root);
@@ -191,7 +182,7 @@ pub(super) fn merge(units: &[Unit], limit: u64) -> Vec<usize> {
     ends
 }
 
-/// The places in `units` (disjoint, in curve order) of those that the triangle belongs to, given that it belongs to `from`.
+/// Where triangles repeat: the places in `units` (disjoint, in curve order) of those that the triangle overlaps, given that it overlaps `from`.
 pub(super) fn places(
     units: &[Unit],
     triangle: &Triangle,
@@ -240,7 +231,12 @@ mod tests {
             let mut counts = vec![0; units.len()];
             for triangle in triangles() {
                 let before: u64 = counts.iter().sum();
-                places(&units, &triangle, CellCode::ROOT, placement, |unit| counts[unit] += 1);
+                if placement.repeats() {
+                    places(&units, &triangle, CellCode::ROOT, placement, |unit| counts[unit] += 1);
+                } else {
+                    let code = cell_of(placement.root, Aabb::from(&triangle));
+                    counts[units.partition_point(|unit| unit.cell.end() <= code)] += 1;
+                }
                 assert!(counts.iter().sum::<u64>() > before);
             }
             assert_eq!(counts, units.iter().map(|unit| unit.triangles).collect::<Vec<_>>());

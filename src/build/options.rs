@@ -150,6 +150,9 @@ fn working_memory(memory: u64) -> u64 {
     memory.saturating_sub(super::phases::resident() + (8 << 20)).max(40 << 20)
 }
 
+/// Bytes held of each page until the end, its share of the top tree included.
+const PAGE_BYTES: u64 = 400;
+
 /// Sizes that change memory and traffic, but never the file's bytes.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Tuning {
@@ -219,6 +222,18 @@ impl Tuning {
     /// Bytes for a chunk and a brick that is built alone.
     pub fn alone_bytes(&self) -> u64 {
         self.chunk_bytes + self.wave_bytes + self.wave_bytes / 2
+    }
+
+    /// Fails if the directory of so many pages does not fit.
+    pub fn check_pages(&self, pages: u64) -> Result<()> {
+        if pages * PAGE_BYTES <= self.top_bytes {
+            return Ok(());
+        }
+        Err(Error::Option(format!(
+            "the directory of more than {} pages does not fit in the memory allowed; allow more, or take larger pages \
+             (--brick)",
+            self.top_bytes / PAGE_BYTES
+        )))
     }
 
     /// Most triangles of bricks that are built at the same time.

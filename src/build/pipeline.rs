@@ -1,30 +1,33 @@
 //! The builder as a whole: the phases in order, and what passes from one to the next.
+//!
+//! Two phases stand apart: [`early`] (split) and [`finish`] (stitch).
 
 use std::path::Path;
 
-use bytemuck::Zeroable;
 use rayon::prelude::*;
 
 use crate::error::{Error, Result};
 use crate::event::Monitor;
-use crate::format::{Brick, Flags, Header, LeafUnit, Node, OctWriter, PageId, Points, SplitMode, Surrogate, Top};
+use crate::format::{Brick, Flags, LeafUnit, OctWriter, PageId, SplitMode};
 use crate::mesh::TriangleSource;
 
 use super::brick::{BrickBuilder, BuiltBrick};
 use super::checkpoint::{PageEntry, PageLog, State};
 use super::chunk::{BrickList, BrickRule, bricks};
 use super::distribute::{Chunk, Extent, Records, Sorting};
-use super::early::Early;
 use super::grid::{CellCode, Grid, Placement, Unit};
-use super::materials::{diffuse, materials};
+use super::materials::diffuse;
 use super::options::{BuildOptions, Tuning, alone_bytes};
 use super::phases::Phases;
 use super::record::Layout;
 use super::report::BuildReport;
 use super::spool::Spool;
-use super::subtree::{BrickTriangle, Cell, TopBrick, build_top, top_levels, top_surrogates};
+use super::subtree::{BrickTriangle, Cell, TopBrick};
 use super::triangles::{Left, Mesh, Stage, Triangles, join_all, read, taken_up};
 use super::work::WorkFolder;
+
+mod early;
+mod finish;
 
 /// Builds the octree file `output` from `source`.
 ///
@@ -71,15 +74,12 @@ pub(super) fn build_tuned(
         }
     };
     let mut build = Build::new(&mesh, options, tuning, writer, monitor);
-    build.run(stage, state, &work, &mut phases)?;
+    build.run(stage, state, (&work, output), &mut phases)?;
     phases.begin("stitch");
     let mut report = build.finish(output)?;
     report.phases = phases.finish();
     Ok(report)
 }
-
-/// Bytes held of each page until the end, its share of the top tree included.
-const PAGE_BYTES: u64 = 400;
 
 /// A file being built, from the join on.
 struct Build<'a> {
@@ -146,11 +146,11 @@ impl<'a> Build<'a> {
         }
     }
 
-    /// Fails if a brick, or the records of all bricks, would not fit in the memory.
-    fn check_memory(&self) -> Result<()> {
+    /// Fails if a brick of records of that layout would not fit in the memory.
+    fn check_memory(&self, layout: Layout) -> Result<()> {
         let largest = u64::from(self.rule.limit).min(self.report.triangles);
         // Alone, a brick may have the whole share of a chunk and of a wave, and its records too.
-        let needed = largest * alone_bytes(self.layout, self.options.split);
+        let needed = largest * alone_bytes(layout, self.options.split);
         let there = self.tuning.alone_bytes();
         if needed <= there {
             return Ok(());
@@ -167,10 +167,10 @@ impl<'a> Build<'a> {
         &mut self,
         stage: Stage<'w>,
         mut state: Option<State>,
-        work: &'w WorkFolder,
+        (work, output): (&'w WorkFolder, &Path),
         phases: &mut Phases<'_>,
     ) -> Result<()> {
-        let stage = self.early(stage, &mut state, work, phases)?;
+        let stage = self.early(stage, &mut state, (work, output), phases)?;
         let sorting = Sorting {
             tuning: self.tuning,
             placement: self.rule.placement,
@@ -209,44 +209,6 @@ impl<'a> Build<'a> {
         };
         phases.begin("chunks");
         self.chunks(&spool, &chunks, done, sorting, (work, 1), phases)
-    }
-
-    /// Cuts large triangles where that pays, if it was not done before: then records stand for parts of triangles.
-    fn early<'w>(
-        &mut self,
-        mut stage: Stage<'w>,
-        state: &mut Option<State>,
-        work: &'w WorkFolder,
-        phases: &mut Phases<'_>,
-    ) -> Result<Stage<'w>> {
-        let early = Early {
-            rule: self.rule,
-            layout: self.layout,
-            longest: self.mesh.tally.longest,
-            tuning: self.tuning,
-            monitor: self.monitor,
-        };
-        let mut is_cut = state.as_ref().is_some_and(State::has_parts);
-        if let Stage::Joined(records, _) = &stage
-            && !is_cut
-            && self.options.ids
-            && early.is_for(self.report.triangles)
-        {
-            phases.begin("split");
-            if let Some(mut parts) = early.cut(records, work)? {
-                if let Some(state) = state {
-                    parts.spill()?;
-                    state.add_parts(parts.len());
-                    state.save(work)?;
-                }
-                // Only now may the records of whole triangles go.
-                (stage, is_cut) = (Stage::Joined(parts, None), true);
-            }
-        }
-        self.layout.parts = is_cut;
-        self.bricks.layout = self.layout;
-        self.check_memory()?;
-        Ok(stage)
     }
 
     /// Goes on with the pages that a killed build wrote: how many chunks they make.
@@ -388,7 +350,7 @@ impl<'a> Build<'a> {
             rest = &rest[1..];
         }
         rest.iter().try_for_each(|list| self.alone(list, words))?;
-        // In strict mode triangles repeat, so that this is only near enough for a bar.
+        // In strict mode, and where large triangles are cut, triangles repeat, so that this is only near enough for a bar.
         let done = self.report.references.min(self.report.triangles);
         self.monitor.progress(done, Some(self.report.triangles), "triangles");
         Ok(())
@@ -410,21 +372,8 @@ impl<'a> Build<'a> {
     }
 
     fn append(&mut self, brick: BuiltBrick) -> Result<()> {
-        let first = u32::try_from(self.report.references);
-        let fits = self.report.references + u64::from(brick.references) <= u64::from(u32::MAX);
-        let (Ok(first_reference), true) = (first, fits) else {
-            return Err(Error::Option(format!(
-                "the tree would hold more than {} references, which is the limit; use --split sah or a larger --cell",
-                u32::MAX
-            )));
-        };
-        if (self.records.len() + 1) as u64 * PAGE_BYTES > self.tuning.top_bytes {
-            return Err(Error::Option(format!(
-                "the directory of more than {} pages does not fit in the memory allowed; allow more, or take larger pages \
-                 (--brick)",
-                self.records.len()
-            )));
-        }
+        let first_reference = first_reference(self.report.references, brick.references, self.options.split)?;
+        self.tuning.check_pages(self.records.len() as u64 + 1)?;
         let page = match &brick.packed {
             Some(packed) => self.writer.append_packed(&brick.page, packed)?,
             None => self.writer.append(&brick.page)?,
@@ -462,80 +411,41 @@ impl<'a> Build<'a> {
         self.report.leaves += u64::from(entry.leaves);
         self.attributes |= entry.attributes;
     }
+}
 
-    /// Writes the top and the header, and gives the file its name.
-    fn finish(mut self, output: &Path) -> Result<BuildReport> {
-        self.monitor.check()?;
-        let nodes = if self.tops.len() > 1 { build_top(&self.tops).0 } else { Vec::new() };
-        let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
-        // Only named where some face has one: then the file has material numbers too.
-        let used: &[_] = if self.layout.materials { &self.mesh.materials } else { &[] };
-        let (materials, strings) = materials(used, folder);
-        let header = self.header(&nodes, materials.len());
-        (self.report.nodes, self.report.depth) = (header.nodes, header.depth);
-        self.report.pages = self.records.len() as u32;
-        let tops = &self.tops;
-        let surrogates = &mut |bricks: &[Brick], roots: &[Surrogate]| top_surrogates(&nodes, tops, bricks, roots);
-        let bricks = &mut self.records;
-        let top = Top { nodes: &nodes, bricks, materials: &materials, strings: &strings, surrogates };
-        self.report.bytes = self.writer.finish(header, top)?;
-        self.report.bytes_per_triangle = self.report.bytes as f64 / self.report.triangles as f64;
-        Ok(self.report)
+/// The number of the first reference of a page that has so `many`, after those `before` it.
+fn first_reference(before: u64, many: u32, split: SplitMode) -> Result<u32> {
+    // The highest number stands for none.
+    if before + u64::from(many) < u64::from(u32::MAX) {
+        return Ok(before as u32);
     }
+    let advice = match split {
+        SplitMode::Sah => "give --no-ids, which stores no triangle twice, or divide the mesh",
+        SplitMode::Octree => "divide the mesh",
+        SplitMode::Strict => "use --split sah or a larger --cell",
+    };
+    Err(Error::Option(format!(
+        "the tree would hold more than {} references, which is the limit; {advice}",
+        u32::MAX - 1
+    )))
+}
 
-    /// The header, but for what the writer fills in.
-    fn header(&self, top: &[Node], materials: usize) -> Header {
-        let report = &self.report;
-        Header {
-            flags: self.flags(),
-            triangles: report.triangles,
-            references: report.references,
-            source_triangles: report.source_triangles,
-            vertices: report.vertices,
-            nodes: report.nodes + top.len() as u64,
-            leaves: report.leaves,
-            pages: self.records.len() as u32,
-            top_nodes: top.len() as u32,
-            materials: materials as u32,
-            depth: self.depth(top),
-            root_corner: self.mesh.root.corner.to_array(),
-            origin: self.options.origin,
-            root_log2_side: self.mesh.root.log2_side,
-            bounds_min: self.mesh.tally.bounds.min.to_array(),
-            bounds_max: self.mesh.tally.bounds.max.to_array(),
-            brick_limit: self.rule.limit,
-            cell_limit: self.options.cell,
-            dropped: report.dropped,
-            split: match self.options.split {
-                SplitMode::Sah => 0,
-                SplitMode::Octree => 1,
-                SplitMode::Strict => 2,
-            },
-            leaf_limit: self.options.leaf,
-            depth_limit: self.options.depth,
-            ..Header::zeroed()
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn references_end_below_the_highest_number() {
+        let most = u64::from(u32::MAX - 1);
+        assert_eq!(first_reference(most - 7, 7, SplitMode::Sah).unwrap(), u32::MAX - 8);
+        for (split, way_out) in
+            [(SplitMode::Sah, "--no-ids"), (SplitMode::Strict, "--split sah"), (SplitMode::Octree, "divide")]
+        {
+            let error = first_reference(most - 6, 7, split).unwrap_err();
+            assert!(
+                error.to_string().contains("4294967294 references") && error.to_string().contains(way_out),
+                "{error}"
+            );
         }
-    }
-
-    /// Nodes on the longest path from the root down to a leaf.
-    fn depth(&self, top: &[Node]) -> u32 {
-        let above = top_levels(top, self.depths.len());
-        above.iter().zip(&self.depths).map(|(above, below)| above + below).max().unwrap_or(0)
-    }
-
-    fn flags(&self) -> Flags {
-        let repeats = self.rule.placement.repeats() || self.report.references > self.report.triangles;
-        let flag = |mask: u32, set: bool| if set { mask } else { 0 };
-        Flags(
-            self.attributes
-                | flag(Flags::PACKED, self.options.compress.is_some())
-                | flag(Flags::IDS, self.options.ids)
-                | flag(Flags::DETAIL, self.options.lod)
-                | flag(Flags::MATERIALS, self.layout.materials)
-                | flag(Flags::WIDE_MATERIALS, self.layout.materials && self.bricks.wide_materials)
-                | flag(Flags::STEPS, self.options.positions.points() == Points::Steps)
-                | flag(Flags::LEAF_UNIT_32, self.bricks.unit == LeafUnit::B32)
-                | flag(Flags::REPEATS, repeats),
-        )
     }
 }

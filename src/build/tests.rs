@@ -1,7 +1,7 @@
 //! Whole builds: from a source in memory, or real OBJ text, to a file that is opened and read back.
 
 use std::path::Path;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::AtomicBool;
 
 use proptest::prelude::*;
 
@@ -13,6 +13,9 @@ use crate::event::{Event, Monitor};
 use crate::format::{Dropped, Flags, PageId, SplitMode};
 use crate::map::Octree;
 use crate::mesh::{FaceBatch, MaterialInfo, MeshSink, NO_INDEX, SourceInfo, TriangleSource};
+
+mod early;
+mod ends;
 
 /// A mesh in memory.
 #[derive(Clone, Debug, Default)]
@@ -123,7 +126,7 @@ fn expected(mesh: &Memory) -> Vec<Stored> {
 }
 
 /// Sizes so small that everything spills, is read through windows or answered, and chunks are divided again and again.
-const TINY: Tuning = Tuning {
+pub(super) const TINY: Tuning = Tuning {
     block_corners: 50,
     table_words: 0,
     window_words: 300,
@@ -138,7 +141,7 @@ const TINY: Tuning = Tuning {
 };
 
 /// Sizes of a build that has room.
-fn roomy() -> Tuning {
+pub(super) fn roomy() -> Tuning {
     Tuning::within(1 << 30, 2)
 }
 
@@ -177,60 +180,6 @@ fn chunks_and_threads_do_not_change_the_bytes() {
             }
         }
     }
-}
-
-/// A bumpy sheet that stands on a ground of two triangles and is crossed by a road and by long needles, up and across.
-fn town(n: u32) -> Memory {
-    let mut mesh = sheet(n);
-    let size = n as f32;
-    let mut add = |corners: [[f32; 3]; 3]| {
-        let at = mesh.positions.len() as u32;
-        mesh.positions.extend(corners);
-        // First in the file, so that ids of the sheet move.
-        mesh.batches.insert(0, FaceBatch { corners: vec![at, at + 1, at + 2], ..Default::default() });
-    };
-    let ground =
-        [[-1.0, -1.0, -0.1], [size + 1.0, -1.0, -0.1], [size + 1.0, size + 1.0, -0.1], [-1.0, size + 1.0, -0.1]];
-    add([ground[0], ground[1], ground[2]]);
-    add([ground[0], ground[2], ground[3]]);
-    add([[0.0, 3.0, 0.7], [size, 3.2, 0.7], [size, 3.6, 0.7]]);
-    for i in 0..10 {
-        let x = size * (i as f32 + 0.3) / 10.0;
-        add([[x, 0.1, 0.2], [size - x, size - 0.3, 9.0], [size - x, size - 0.2, 9.1]]);
-    }
-    mesh
-}
-
-#[test]
-fn large_triangles_are_cut_before_bricks_are_made() {
-    let mesh = town(40);
-    let (report, stored, bytes) = round_trip(&mesh, &options(SplitMode::Sah, 60), &roomy());
-    assert!(report.phases.iter().any(|phase| phase.name == "split") && report.pages > 40);
-    assert_eq!(report.triangles, 3213);
-    let ground = stored.iter().filter(|s| s.face == 11 || s.face == 12).count();
-    assert!(ground > 40, "the ground is in {ground} leaves of {} pages", report.pages);
-    let most = 3213 * (100 + 25) / 100;
-    assert!((3213 + 40..=most * 130 / 100).contains(&report.references), "{} references", report.references);
-    let mut distinct = stored;
-    distinct.dedup();
-    assert_eq!(distinct, expected(&mesh));
-    for threads in [1, 2] {
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        assert!(
-            bytes == pool.install(|| round_trip(&mesh, &options(SplitMode::Sah, 60), &TINY)).2,
-            "{threads} threads"
-        );
-    }
-    // One page, no ids, or another way to split: nothing is cut.
-    let one = options(SplitMode::Sah, 4000);
-    let no_ids = BuildOptions { ids: false, ..options(SplitMode::Sah, 60) };
-    for options in [one, no_ids, options(SplitMode::Octree, 60)] {
-        let (report, ..) = round_trip(&mesh, &options, &TINY);
-        assert!(report.phases.iter().all(|phase| phase.name != "split"));
-    }
-    // A sheet without large triangles: looked at, as its cells are large, and left as it is.
-    let (report, ..) = round_trip(&sheet(40), &options(SplitMode::Sah, 60), &TINY);
-    assert_eq!(report.references, report.triangles);
 }
 
 #[test]
@@ -325,121 +274,6 @@ fn without_ids_the_storage_number_stands_in() {
     let options = BuildOptions { ids: false, ..options(SplitMode::Sah, 40) };
     let (_, stored, _) = round_trip(&sheet(10), &options, &roomy());
     assert!(stored.iter().map(|s| s.face).eq(0..200));
-}
-
-/// Stops after a number of events.
-fn interrupted_after(events: usize, mesh: &Memory, folder: &Path) -> Result<BuildReport> {
-    let (stop, seen) = (AtomicBool::new(false), AtomicUsize::new(0));
-    let sink = |_: Event| {
-        if seen.fetch_add(1, Ordering::Relaxed) + 1 >= events {
-            stop.store(true, Ordering::Relaxed);
-        }
-    };
-    let monitor = Monitor::new(&sink, &stop);
-    build_tuned(&mut mesh.clone(), &folder.join("a.oct"), &options(SplitMode::Sah, 40), &TINY, monitor)
-}
-
-#[test]
-fn interrupted_at_any_time_it_leaves_the_older_file_only() {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::write(folder.path().join("a.oct"), b"older").unwrap();
-    let mesh = sheet(15);
-    let mut events = 1;
-    while let Err(error) = interrupted_after(events, &mesh, folder.path()) {
-        assert!(matches!(error, Error::Interrupted), "{error}");
-        assert_eq!(std::fs::read(folder.path().join("a.oct")).unwrap(), b"older");
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        events += 1;
-    }
-    assert!(events > 20, "{events}");
-    assert_eq!(read_back(&folder.path().join("a.oct")).len(), 450);
-}
-
-/// Copies all that is in a folder, folders included.
-fn copy_all(from: &Path, to: &Path) {
-    std::fs::create_dir_all(to).unwrap();
-    for entry in std::fs::read_dir(from).unwrap().map(|entry| entry.unwrap()) {
-        let goal = to.join(entry.file_name());
-        match entry.file_type().unwrap().is_dir() {
-            true => copy_all(&entry.path(), &goal),
-            false => drop(std::fs::copy(entry.path(), goal).unwrap()),
-        }
-    }
-}
-
-/// Builds until so many events were seen, and leaves the folder as it was then, as a kill would; whether it came to that.
-fn killed_after(events: usize, mesh: &Memory, folder: &Path, options: &BuildOptions) -> bool {
-    let left = tempfile::tempdir().unwrap();
-    let (stop, seen) = (AtomicBool::new(false), AtomicUsize::new(0));
-    let sink = |_: Event| {
-        if seen.fetch_add(1, Ordering::Relaxed) + 1 == events {
-            copy_all(folder, left.path());
-            stop.store(true, Ordering::Relaxed);
-        }
-    };
-    let monitor = Monitor::new(&sink, &stop);
-    let result = build_tuned(&mut mesh.clone(), &folder.join("a.oct"), options, &TINY, monitor);
-    copy_all(left.path(), folder);
-    result.is_err()
-}
-
-#[test]
-fn a_killed_build_is_taken_up_with_the_same_bytes() {
-    for (mesh, has_large, compress) in [(sheet(15), false, None), (sheet(15), false, Some(1)), (town(15), true, None)] {
-        let options = BuildOptions { source: Some("sheet".into()), compress, ..options(SplitMode::Sah, 40) };
-        let (_, _, bytes) = round_trip(&mesh, &options, &TINY);
-        let (mut events, mut skipped) = (1, [0; 4]);
-        loop {
-            let folder = tempfile::tempdir().unwrap();
-            if !killed_after(events, &mesh, folder.path(), &options) {
-                break;
-            }
-            let again = BuildOptions { resume: true, ..options.clone() };
-            let report = build_in(folder.path(), &mesh, &again, &TINY).unwrap();
-            let names: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
-            assert_eq!(names, ["a.oct"], "after {events} events");
-            assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == bytes, "after {events} events");
-            let has = |name: &str| report.phases.iter().any(|phase| phase.name == name);
-            skipped[0] += usize::from(!has("scan"));
-            skipped[1] += usize::from(!has("scan") && !has("split"));
-            skipped[2] += usize::from(!has("scan") && !has("distribute"));
-            skipped[3] += usize::from(!has("scan") && has("join"));
-            events += 1;
-        }
-        assert!(skipped[0] > skipped[2] && skipped[1] > 10 && skipped[3] > 0, "{skipped:?} of {events}");
-        // In a town there is nearly always a chunk that is still to be sorted below its cell.
-        assert!(skipped[2] > if has_large { 0 } else { 10 }, "{skipped:?} of {events}");
-    }
-}
-
-#[test]
-fn what_another_build_left_is_not_taken_up() {
-    let (mesh, other) = (sheet(15), sheet(14));
-    let folder = tempfile::tempdir().unwrap();
-    let options = BuildOptions { source: Some("sheet".into()), ..options(SplitMode::Sah, 40) };
-    let (_, _, bytes) = round_trip(&other, &options, &TINY);
-    // While chunks are written.
-    let seen = AtomicUsize::new(0);
-    let count = |_: Event| {
-        seen.fetch_add(1, Ordering::Relaxed);
-    };
-    let stop = AtomicBool::new(false);
-    let monitor = Monitor::new(&count, &stop);
-    build_tuned(&mut mesh.clone(), &folder.path().join("a.oct"), &options, &TINY, monitor).unwrap();
-    let events = seen.into_inner() * 3 / 4;
-    for again in [
-        BuildOptions { source: Some("other".into()), resume: true, ..options.clone() },
-        BuildOptions { leaf: 7, resume: true, ..options.clone() },
-        options.clone(),
-    ] {
-        assert!(killed_after(events, &mesh, folder.path(), &options));
-        let again_bytes = BuildOptions { resume: false, ..again.clone() };
-        build_in(folder.path(), &other, &again, &TINY).unwrap();
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the finished file only");
-        let (_, _, expected) = round_trip(&other, &again_bytes, &TINY);
-        assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == expected);
-    }
-    assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == bytes);
 }
 
 #[test]

@@ -187,6 +187,12 @@ impl Moments {
         Moments { vector, seen: vector.abs(), area, color: area * color.as_dvec3() }
     }
 
+    /// Those of a part of the area, 0..=1.
+    pub fn times(self, part: f64) -> Moments {
+        let Moments { vector, seen, area, color } = self;
+        Moments { vector: part * vector, seen: part * seen, area: part * area, color: part * color }
+    }
+
     /// Those that a stored surrogate stands for, whose node's box is `bounds`.
     pub fn of_patch(patch: &Patch, bounds: &RootBox) -> Moments {
         let seen = DVec3::from_array(patch.coverage) * bounds.faces();

@@ -3,8 +3,9 @@
 //! Areas, normals and colours are summed from the leaves up, in f64 and in the order of the nodes, so that nothing depends on threads. The
 //! plane of a node of a page then comes from one pass over the corners of all triangles below it (a run of references, since
 //! references are numbered depth first): its normal is the mean normal as it is stored, it lies halfway between the
-//! outermost corners, and the deviation reaches these. Where a triangle is stored several times, a node is responsible only
-//! for what lies in its box; then the plane's slab is cut to what the box allows.
+//! outermost corners, and the deviation reaches these. Where a triangle is stored several times (in this page, or parts of it in others), a
+//! node is responsible only for what lies in its box; then the plane's slab is cut to what the box allows, and a triangle counts as far
+//! as it lies in its leaf's box. Else a floor as large as the mesh would make a closed surface of every page that it touches.
 //!
 //! Memory: 72 bytes a reference and 150 a node while a page's surrogates are made, when its tree is gone already.
 //!
@@ -39,7 +40,7 @@ pub fn surrogates(
     color: impl Fn(u32) -> Vec3,
 ) -> Vec<Surrogate> {
     let frames = frames(subtree);
-    let builder = Pages { subtree, triangles, root, unit, color };
+    let builder = Pages { subtree, triangles, root, unit, color, frames: &frames };
     let corners = builder.corners();
     let nothing = Gathered { moments: Moments::default(), first: u32::MAX, end: 0, cone: 1.0, axis: DVec3::Z };
     let mut gathered = vec![nothing; subtree.nodes.len()];
@@ -88,16 +89,17 @@ struct Pages<'a, C> {
     root: RootCube,
     unit: LeafUnit,
     color: C,
+    /// Each node's frame and box.
+    frames: &'a [(Frame, RootBox)],
 }
 
 impl<C: Fn(u32) -> Vec3> Pages<'_, C> {
     /// Three corners a reference, in root units.
     fn corners(&self) -> Vec<DVec3> {
-        let corners = |&i: &u32| self.triangles[i as usize].triangle.vertices().map(|v| self.root.to_root_units(v));
-        self.subtree.order.iter().flat_map(corners).collect()
+        (0..self.subtree.order.len() as u32).flat_map(|reference| self.corners_of(reference)).collect()
     }
 
-    /// The references of the leaves of node `i`: where each leaf's run begins, its length, and the leaf's box.
+    /// The references of the leaves of node `i`, a run each, and the leaf's slot.
     fn leaves(&self, i: usize) -> impl Iterator<Item = (std::ops::Range<u32>, usize)> {
         let node = &self.subtree.nodes[i];
         let first =
@@ -124,10 +126,11 @@ impl<C: Fn(u32) -> Vec3> Pages<'_, C> {
     /// The sums over all triangles of node `i`, and the run of their corners.
     fn gather(&self, i: usize, gathered: &[Gathered]) -> (Moments, u32, u32) {
         let (mut moments, mut first, mut end) = (Moments::default(), u32::MAX, 0);
-        for (run, _) in self.leaves(i) {
+        for (run, slot) in self.leaves(i) {
             (first, end) = (first.min(3 * run.start), end.max(3 * run.end));
+            let bounds = RootBox::of_slot(&self.subtree.nodes[i], slot, &self.frames[i].0);
             for reference in run {
-                moments += self.moments(reference);
+                moments += self.moments(reference).times(inside(self.corners_of(reference), &bounds));
             }
         }
         for child in self.children(i) {
@@ -139,9 +142,13 @@ impl<C: Fn(u32) -> Vec3> Pages<'_, C> {
     }
 
     fn moments(&self, reference: u32) -> Moments {
+        Moments::of_triangle(self.corners_of(reference), (self.color)(self.subtree.order[reference as usize]))
+    }
+
+    /// The corners of a reference's triangle, in root units.
+    fn corners_of(&self, reference: u32) -> [DVec3; 3] {
         let number = self.subtree.order[reference as usize];
-        let corners = self.triangles[number as usize].triangle.vertices().map(|v| self.root.to_root_units(v));
-        Moments::of_triangle(corners, (self.color)(number))
+        self.triangles[number as usize].triangle.vertices().map(|v| self.root.to_root_units(v))
     }
 
     /// The cosine of a cone about `axis` that holds the normals of all triangles of node `i`.
@@ -157,6 +164,41 @@ impl<C: Fn(u32) -> Vec3> Pages<'_, C> {
         }
         cone
     }
+}
+
+/// How much of a triangle's area lies in a box, as a part of the whole: 1 for one that the box holds.
+///
+/// Sutherland and Hodgman (1974), "Reentrant polygon clipping", plane by plane.
+fn inside(corners: [DVec3; 3], bounds: &RootBox) -> f64 {
+    if corners.iter().all(|p| p.cmpge(bounds.low).all() && p.cmple(bounds.high).all()) {
+        return 1.0;
+    }
+    let area = |polygon: &[DVec3]| match polygon {
+        [first, rest @ ..] => {
+            rest.windows(2).map(|pair| (pair[0] - first).cross(pair[1] - first)).sum::<DVec3>().length()
+        }
+        [] => 0.0,
+    };
+    let (mut polygon, mut clipped) = (corners.to_vec(), Vec::with_capacity(9));
+    for (axis, sign, limit) in (0..3).flat_map(|axis| [(axis, 1.0, bounds.high[axis]), (axis, -1.0, -bounds.low[axis])])
+    {
+        // How far outside a point is.
+        let beyond = |p: DVec3| sign * p[axis] - limit;
+        for (i, &p) in polygon.iter().enumerate() {
+            let q = polygon[(i + 1) % polygon.len()];
+            let (a, b) = (beyond(p), beyond(q));
+            if a <= 0.0 {
+                clipped.push(p);
+            }
+            if (a < 0.0 && b > 0.0) || (a > 0.0 && b < 0.0) {
+                clipped.push(p + (q - p) * (a / (a - b)));
+            }
+        }
+        std::mem::swap(&mut polygon, &mut clipped);
+        clipped.clear();
+    }
+    let whole = area(&corners);
+    if whole > 0.0 { (area(&polygon) / whole).min(1.0) } else { 0.0 }
 }
 
 /// The surrogates of the top nodes, from those of the roots of all bricks.
@@ -227,119 +269,4 @@ impl Below {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::{Cell, SubtreeOptions, build_subtree};
-    use super::*;
-    use crate::format::{Points, SplitMode};
-    use crate::geometry::{Aabb, Triangle};
-
-    /// A field of hills over x and y, of 2 n^2 triangles.
-    fn hills(n: usize, height: f32) -> Vec<BrickTriangle> {
-        let at = |i: usize, j: usize| {
-            let (x, y) = (i as f32 / n as f32, j as f32 / n as f32);
-            Vec3::new(x, y, 0.3 + height * ((9.0 * x).sin() * (7.0 * y).cos()))
-        };
-        let mut list = Vec::new();
-        for (i, j) in (0..n).flat_map(|i| (0..n).map(move |j| (i, j))) {
-            let [a, b, c, d] = [at(i, j), at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)];
-            for triangle in [Triangle { a, b, c }, Triangle { a, b: c, c: d }] {
-                list.push(BrickTriangle { triangle, face: list.len() as u32 });
-            }
-        }
-        list
-    }
-
-    fn root_of(list: &[BrickTriangle]) -> RootCube {
-        RootCube::around(list.iter().map(|t| Aabb::from(&t.triangle)).fold(Aabb::EMPTY, Aabb::union))
-    }
-
-    fn built(list: &[BrickTriangle]) -> (Subtree, Vec<Surrogate>) {
-        let options = SubtreeOptions {
-            split: SplitMode::Sah,
-            leaf: 16,
-            cell: 16,
-            depth: 21,
-            unit: LeafUnit::B16,
-            points: Points::Floats,
-            repeats: false,
-        };
-        let root = root_of(list);
-        let subtree = build_subtree(list, &[], Cell::ROOT, root, &options);
-        let surrogates =
-            surrogates(&subtree, list, root, LeafUnit::B16, |i| if i % 2 == 0 { Vec3::X } else { Vec3::Y });
-        (subtree, surrogates)
-    }
-
-    #[test]
-    fn a_flat_field_is_its_plane() {
-        let list = hills(40, 0.0);
-        let (subtree, surrogates) = built(&list);
-        for ((frame, bounds), surrogate) in frames(&subtree).iter().zip(&surrogates) {
-            let patch = surrogate.patch(frame);
-            assert_eq!(patch.normal, DVec3::Z);
-            assert!(patch.cone > 0.99 && patch.agreement == 1.0, "{patch:?}");
-            // A step of the frame, and nothing more.
-            assert!(patch.deviation <= 1.1 * frame.unit[0].max(frame.unit[1]), "{patch:?} {frame:?}");
-            assert!(bounds.low.z <= patch.offset && patch.offset <= bounds.high.z);
-            assert_eq!((patch.coverage[0], patch.coverage[1]), (0.0, 0.0));
-            assert!(patch.coverage[2] > 0.7, "{patch:?}");
-        }
-        let patch = surrogates[0].patch(&frames(&subtree)[0].0);
-        assert!((patch.color[0] - 0.5).abs() < 0.01 && patch.color[2] == 0.0);
-    }
-
-    #[test]
-    fn slabs_and_cones_hold_every_triangle() {
-        let list = hills(40, 0.1);
-        let (subtree, surrogates) = built(&list);
-        let root = root_of(&list);
-        let frames = frames(&subtree);
-        let builder = Pages { subtree: &subtree, triangles: &list, root, unit: LeafUnit::B16, color: |_| Vec3::ONE };
-        let mut triangles = 0;
-        let mut below: Vec<Vec<u32>> = vec![Vec::new(); subtree.nodes.len()];
-        for i in (0..subtree.nodes.len()).rev() {
-            let mut all: Vec<u32> = builder.leaves(i).flat_map(|x| x.0).collect();
-            builder.children(i).for_each(|child| all.extend(&below[child]));
-            let patch = surrogates[i].patch(&frames[i].0);
-            for &reference in &all {
-                let corners = list[subtree.order[reference as usize] as usize].triangle.vertices();
-                let corners = corners.map(|v| root.to_root_units(v));
-                assert!(corners.iter().all(|p| (patch.normal.dot(*p) - patch.offset).abs() <= patch.deviation));
-                let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize();
-                assert!(normal.dot(patch.normal) >= patch.cone - 1e-6);
-            }
-            triangles = triangles.max(all.len());
-            below[i] = all;
-        }
-        assert_eq!(triangles, list.len());
-    }
-
-    /// Nested slabs: what a brick's root says of its children's content is true of the merged one as well.
-    #[test]
-    fn a_merged_slab_holds_those_below() {
-        let list = hills(40, 0.1);
-        let (subtree, surrogates) = built(&list);
-        let frames = frames(&subtree);
-        let root = root_of(&list);
-        let below = |i: usize| Below { patch: surrogates[i].patch(&frames[i].0), bounds: frames[i].1 };
-        let children: Vec<Below> =
-            Pages { subtree: &subtree, triangles: &list, root, unit: LeafUnit::B16, color: |_| Vec3::ONE }
-                .children(0)
-                .map(below)
-                .collect();
-        assert!(children.len() > 1);
-        let (merged, seen) = merged(&children, &frames[0].0);
-        let exact = surrogates[0].patch(&frames[0].0);
-        let patch = merged.patch(&frames[0].0);
-        assert!(
-            patch.normal.dot(exact.normal) > 0.99 && patch.deviation < 3.0 * exact.deviation,
-            "{patch:?} {exact:?}"
-        );
-        for triangle in &list {
-            for p in triangle.triangle.vertices().map(|v| root.to_root_units(v)) {
-                let inside = p.cmpge(seen.bounds.low).all() && p.cmple(seen.bounds.high).all();
-                assert!(!inside || (patch.normal.dot(p) - patch.offset).abs() <= patch.deviation);
-            }
-        }
-    }
-}
+mod tests;

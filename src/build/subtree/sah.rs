@@ -111,7 +111,7 @@ pub(super) struct Part {
 
 impl Part {
     /// The parts of sorted triangles, whose boxes are `boxes` (all or none); drops from `order` triangles that come again.
-    pub fn number(triangles: &[super::BrickTriangle], boxes: &[Aabb], order: &mut Vec<u32>) -> Vec<Part> {
+    pub fn list(triangles: &[super::BrickTriangle], boxes: &[Aabb], order: &mut Vec<u32>) -> Vec<Part> {
         if boxes.is_empty() {
             return Vec::new();
         }
