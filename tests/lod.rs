@@ -9,7 +9,7 @@ use glam::{DVec3, Vec3};
 use octrace::Monitor;
 use octrace::build::{BuildOptions, build};
 use octrace::geometry::{Aabb, Ray, Skip, Triangle};
-use octrace::map::Octree;
+use octrace::map::{Octree, Read};
 use octrace::mesh::{self, ReadOptions};
 use octrace::render::{Settings, render};
 use octrace::scene::{Camera, Scene};
@@ -295,6 +295,24 @@ fn level_zero_is_the_exact_picture() {
     assert!(exact.film.pixels() == zero.film.pixels());
     assert_eq!((pages, zero.statistics.detail.hits), (same_pages, 0));
     assert_eq!(exact.statistics.rays, zero.statistics.rays);
+}
+
+#[test]
+fn rays_that_wait_for_pages_meet_the_same() {
+    let folder = tempfile::tempdir().unwrap();
+    let octree = planet_mesh(7).octree_at(&folder.path().join("planet.oct"), &pages(500));
+    let view = view(&octree, 60, DVec3::new(0.4, 0.5, 0.8));
+    let right = met(&OctreeTracer::new(&octree), &view, 0.5);
+    let surrogates = right.iter().filter(|met| matches!(met, Met::Surrogate(_))).count();
+    let triangles = right.iter().filter(|met| matches!(met, Met::Triangle(_))).count();
+    assert!(surrogates > 100 && triangles > 100, "{surrogates} surrogates, {triangles} triangles");
+    let least = Octree::least_cache(octree.path()).unwrap();
+    for cache in [least, 10 * least] {
+        let octree = Octree::open_with(octree.path(), Read::Budgeted { cache }).unwrap();
+        assert!(met(&OctreeTracer::new(&octree), &view, 0.5) == right, "with {cache} bytes");
+        let read = octree.figures();
+        assert!(read.touched > 10 && read.reread > 0 && read.most_bytes <= cache, "{read:?}");
+    }
 }
 
 #[test]
