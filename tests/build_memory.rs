@@ -137,7 +137,7 @@ fn large_triangles_among_small_ones() {
     }
     for y in 0..499 {
         for at in (1..500).map(|x| x + 500 * y) {
-            writeln!(obj, "f {at} {} {}\nf {at} {2} {}", at + 1, at + 501, at + 500).unwrap();
+            writeln!(obj, "f {at} {} {}\nf {at} {1} {}", at + 1, at + 501, at + 500).unwrap();
         }
     }
     obj += "v -1 -1 -1\nv 501 -1 -1\nv 501 501 -1\nv -1 501 -1\nf -4 -3 -2\nf -4 -2 -1\n";

@@ -43,6 +43,7 @@ struct Parts {
     leaf_corners: f64,
     ids: f64,
     attributes: f64,
+    level_of_detail: f64,
     rest: f64,
 }
 
@@ -127,6 +128,7 @@ impl Report {
                 leaf_corners: each(p.leaf_corners),
                 ids: each(p.ids),
                 attributes: each(p.materials + p.normals + p.texcoords),
+                level_of_detail: each(p.detail),
                 rest: each(p.header + p.top + p.page_headers + p.padding),
             },
             machine: Machine::here(),
@@ -209,7 +211,7 @@ impl Report {
         let p = &self.by_part;
         let mut t = format!(
             "{}: {} triangles, {:.2} bytes each (nodes {:.2}, leaf vertices {:.2}, leaf corners {:.2}, ids {:.2}, \
-             attributes {:.2}, rest {:.2})\n{}; medians of {} rounds in turn{}\n",
+             attributes {:.2}, level of detail {:.2}, rest {:.2})\n{}; medians of {} rounds in turn{}\n",
             self.model,
             self.triangles,
             self.bytes_per_triangle,
@@ -218,6 +220,7 @@ impl Report {
             p.leaf_corners,
             p.ids,
             p.attributes,
+            p.level_of_detail,
             p.rest,
             self.machine,
             self.rounds,
