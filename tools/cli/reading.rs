@@ -26,8 +26,8 @@ pub enum How {
     Budgeted,
 }
 
-/// Memory for what is not counted: code that has not run yet, stacks, small things.
-const REST: u64 = 4 << 20;
+/// Memory for what is not counted: code that has not run yet, stacks, small things. Half of it was seen to be needed.
+const REST: u64 = 8 << 20;
 
 impl Reading {
     /// The bound on memory, if these files are to be read within one.
