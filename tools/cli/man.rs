@@ -127,7 +127,7 @@ fn plain(roff: &Roff) -> String {
 }
 
 /// What is written, without a preamble.
-fn rendered(write: impl Fn(&mut dyn std::io::Write) -> std::io::Result<()>) -> String {
+fn rendered(write: impl FnOnce(&mut dyn std::io::Write) -> std::io::Result<()>) -> String {
     let mut bytes = Vec::new();
     // Writing to memory does not fail.
     let _ = write(&mut bytes);
