@@ -14,9 +14,10 @@ use super::support::*;
 const TOOLS: [&str; 5] = ["octbuild", "octrender", "octtrace", "octinfo", "octbench"];
 
 /// What is asked for, and what is asked for here; only the first that an example has is replaced.
-const LESS: [(&str, &str); 11] = [
-    ("octbench accuracy --rays 1e6", "octbench accuracy --rays 2e3"),
-    ("octbench accuracy --model bunny.obj --rays 1e6", "octbench accuracy --model bunny.obj --rays 2e3"),
+const LESS: [(&str, &str); 12] = [
+    ("octbench accuracy --rays 1e5", "octbench accuracy --families 1,2 --rays 1e2"),
+    ("octbench accuracy --rays 1e6", "octbench accuracy --families 1,2 --rays 1e2"),
+    ("octbench accuracy --model bunny.obj --rays 1e6", "octbench accuracy --model bunny.obj --rays 1e2"),
     ("octbench closed --rays 1e7", "octbench closed --rays 1e3"),
     ("octbench mirrors --paths 1e6 --bounces 1000", "octbench mirrors --paths 5 --bounces 5"),
     ("octbench speed", "octbench speed --size 16x16 --chords 100 --rounds 1"),
