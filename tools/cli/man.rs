@@ -15,7 +15,7 @@ const PREAMBLE: &str = ".ie \\n(.g .ds Aq \\(aq\n.el .ds Aq '\n";
 /// The man page of a tool, in roff.
 pub fn page(command: Command, manual: &Manual) -> String {
     let name = command.get_name().to_owned();
-    let man = Man::new(command.clone()).source(concat!("octrace ", env!("CARGO_PKG_VERSION"))).manual("octrace");
+    let man = Man::new(command.clone());
     let mut page = Roff::new();
     page.control("SH", ["DESCRIPTION"]);
     page.text([roman(sentence(&command))]);
@@ -27,7 +27,7 @@ pub fn page(command: Command, manual: &Manual) -> String {
         };
     }
     let mut text = PREAMBLE.to_owned()
-        + &rendered(|to| man.render_title(to))
+        + &format!(".TH {} 1 \"\" \"octrace {}\" \"User Commands\"\n", name.to_uppercase(), env!("CARGO_PKG_VERSION"))
         + &rendered(|to| man.render_name_section(to))
         + &rendered(|to| man.render_synopsis_section(to))
         + &plain(&page)

@@ -11,8 +11,14 @@ use clap::builder::Styles;
 use clap::{Arg, ArgMatches, Command, ValueEnum};
 use octrace::trace::Isa;
 
+/// What `--generate` does.
+const GENERATE: &str = "Print the man page, or completions for a shell, and do nothing else";
+
 /// All tools, in the order in which they are used.
 const TOOLS: [&str; 5] = ["octbuild", "octrender", "octtrace", "octinfo", "octbench"];
+
+/// Columns of help; clap takes as many where it does not know the terminal.
+const WIDTH: usize = 100;
 
 /// What holds for all tools.
 const COMMON: &str = "\
@@ -105,8 +111,8 @@ impl Manual {
             for [term, what] in &section.items {
                 let _ = match (what.is_empty(), width <= 20) {
                     (true, _) => write!(text, "\n  {term}"),
-                    (_, true) => write!(text, "\n  {term:width$}  {what}"),
-                    (_, false) => write!(text, "\n  {term}\n      {what}"),
+                    (_, true) => write!(text, "\n  {term:width$}  {}", hanging(what, width + 4)),
+                    (_, false) => write!(text, "\n  {term}\n      {}", hanging(what, 6)),
                 };
             }
         }
@@ -134,6 +140,24 @@ impl Section {
     }
 }
 
+/// Text in lines of at most [`WIDTH`] columns, of which all but the first begin at column `indent`, as the first is taken to.
+fn hanging(text: &str, indent: usize) -> String {
+    let (mut out, mut column) = (String::with_capacity(text.len()), indent);
+    for word in text.split_whitespace() {
+        let long = word.chars().count();
+        if column > indent && column + 1 + long > WIDTH {
+            let _ = write!(out, "\n{:indent$}", "");
+            column = indent;
+        } else if column > indent {
+            out.push(' ');
+            column += 1;
+        }
+        out.push_str(word);
+        column += long;
+    }
+    out
+}
+
 /// The tools beside this one.
 pub fn others(name: &str) -> impl Iterator<Item = &'static str> {
     TOOLS.into_iter().filter(move |&other| other != name)
@@ -146,7 +170,8 @@ pub fn complete(command: Command) -> Command {
     let generate = Arg::new("generate")
         .long("generate")
         .value_name("WHAT")
-        .help("Print the man page, or completions for a shell, and do nothing else")
+        .help(GENERATE)
+        .long_help(GENERATE)
         .help_heading("General")
         .value_parser(clap::value_parser!(Page))
         .hide_short_help(true)
@@ -218,6 +243,16 @@ mod tests {
         let examples = [["a -b c", "what it does"], ["d e", "what that does, and more"]];
         assert_eq!(manual.sections, [section("Examples", &examples), section("Files", &[["f", ""]])]);
         assert_eq!(Manual::read(""), Manual::default());
+    }
+
+    #[test]
+    fn long_texts_hang() {
+        let text = hanging(&"word ".repeat(40), 6);
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines.len(), 3);
+        assert!(lines[1..].iter().all(|line| line.starts_with("      word") && line.len() <= WIDTH));
+        assert!(lines[0].len() + 6 <= WIDTH && lines.concat().matches("word").count() == 40);
+        assert_eq!(hanging("", 6), "");
     }
 
     #[test]
