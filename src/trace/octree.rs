@@ -3,7 +3,7 @@
 use std::borrow::Borrow;
 
 use super::arch::Isa;
-use super::ask::{Ask, Least, LeastHit, LeastOfEach, Pause, Whether, WhetherEach};
+use super::ask::{Ask, Least, LeastHit, Pause, Whether};
 use super::batch::{Batch, SPACE};
 use super::collect::Collector;
 use super::flight::{Flight, STACKS, WORTHWHILE};
@@ -13,7 +13,7 @@ use super::packet::{self, PACKET};
 use super::patient::{Fast, Patient, STRETCH};
 use super::setup::Scene;
 use super::walk::{CACHED, File};
-use super::{BATCH, Counters, Found, Tracer, batch};
+use super::{BATCH, Counters, Found, Tracer, a_ray_each, a_width_each, batch};
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::{Halt, Octree};
@@ -262,15 +262,15 @@ const MOST_PATIENT: usize = 1 << 16;
 
 impl Tracer for Walker<'_> {
     fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
-        self.ask_one(Least { skip, last: None }, ray, counters)
+        self.ask_one(Least { skips: &[skip], last: None }, ray, counters)
     }
 
     fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool> {
-        self.ask_one(Whether(skip), ray, counters)
+        self.ask_one(Whether(&[skip]), ray, counters)
     }
 
     fn next(&self, ray: &Ray, skip: Skip, last: &Found) -> Result<Option<Found>> {
-        self.ask_one(Least { skip, last: Some(last) }, ray, &mut Counters::default())
+        self.ask_one(Least { skips: &[skip], last: Some(last) }, ray, &mut Counters::default())
     }
 
     fn bounds(&self) -> Aabb {
@@ -284,19 +284,19 @@ impl Tracer for Walker<'_> {
         found: &mut [Option<Found>],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == found.len(), "a skip and an answer a ray");
-        self.many(LeastOfEach(skips), rays, found, counters)
+        a_ray_each(rays, skips, found);
+        self.many(Least { skips, last: None }, rays, found, counters)
     }
 
     fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
-        self.many(WhetherEach(skips), rays, blocked, counters)
+        a_ray_each(rays, skips, blocked);
+        self.many(Whether(skips), rays, blocked, counters)
     }
 
     fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        a_ray_each(rays, skips, blocked);
         if self.octree().is_budgeted() {
-            return self.patiently(WhetherEach(skips), rays, blocked, Fast::Near(skips), counters);
+            return self.patiently(Whether(skips), rays, blocked, Fast::Near(skips), counters);
         }
         let visit = self.octree().visit();
         let outcome = self.isa.run(Near { visit: &visit, rays, skips, blocked, counters });
@@ -312,10 +312,8 @@ impl Tracer for Walker<'_> {
         met: &mut [Met],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(
-            rays.len() == footprints.len() && rays.len() == met.len() && pixels > 0.0,
-            "a width and an answer a ray"
-        );
+        a_ray_each(rays, footprints, met);
+        a_width_each(rays, footprints, pixels);
         let give = |i: usize, found: Option<Found>, surrogate: Option<Approximate>| {
             met[i] = match (found, surrogate) {
                 (Some(found), Some(surrogate)) if surrogate.t < found.hit.t => Met::Surrogate(surrogate),
@@ -324,7 +322,7 @@ impl Tracer for Walker<'_> {
                 (None, None) => Met::Nothing,
             };
         };
-        self.coarse(Least { skip: Skip::NONE, last: None }, rays, (footprints, pixels), counters, give)
+        self.coarse(Least { skips: &[], last: None }, rays, (footprints, pixels), counters, give)
     }
 
     fn any_coarse(
@@ -336,10 +334,10 @@ impl Tracer for Walker<'_> {
         blocked: &mut [bool],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
-        assert!(rays.len() == footprints.len() && pixels > 0.0, "a width a ray");
+        a_ray_each(rays, skips, blocked);
+        a_width_each(rays, footprints, pixels);
         let give = |i: usize, found: bool, surrogate: Option<Approximate>| blocked[i] = found || surrogate.is_some();
-        self.coarse(WhetherEach(skips), rays, (footprints, pixels), counters, give)
+        self.coarse(Whether(skips), rays, (footprints, pixels), counters, give)
     }
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
@@ -348,7 +346,7 @@ impl Tracer for Walker<'_> {
 
     fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
         batch(rays, blocked, self.task(rays.len()), |rays, blocked, counters| {
-            self.many(Whether(Skip::NONE), rays, blocked, counters)
+            self.many(Whether(&[]), rays, blocked, counters)
         })
     }
 }
