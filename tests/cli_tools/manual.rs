@@ -154,8 +154,7 @@ fn pages_are_asked_for_alone() {
     lab.fails(2, "octinfo", &["ball.oct", "--generate", "man"]);
     lab.fails(2, "octinfo", &["--generate", "man", "--json"]);
     let error = lab.fails(2, "octinfo", &["--generate", "mna"]);
-    assert!(error.contains("similar") && error.contains("man"), "{error}");
-    lab.fails(2, "octbench", &[]);
+    assert!(error.contains("man, bash, zsh, fish, powershell"), "{error}");
     lab.fails(2, "octbench", &["--quiet"]);
 }
 
@@ -214,7 +213,7 @@ fn bars_and_colours_go_to_terminals() {
     assert!(colours(&on_terminal("bad.txt", None)));
     assert!(!colours(&on_terminal("bad.txt", Some("1"))));
     assert!(!colours(&on_terminal("--help", Some("1"))));
-    let draw = "ball.oct -o a.png --size 600x600 --samples 64";
+    let draw = "ball.oct -o a.png --size 200x200 --samples 25";
     let drawn = on_terminal(draw, Some("1"));
     assert!(drawn.contains("left") && drawn.contains('\r'), "{drawn:?}");
     let quiet = on_terminal(&format!("{draw} -q"), None);
