@@ -15,7 +15,7 @@ const PREAMBLE: &str = ".ie \\n(.g .ds Aq \\(aq\n.el .ds Aq '\n";
 /// The man page of a tool, in roff.
 pub fn page(command: Command, manual: &Manual) -> String {
     let name = command.get_name().to_owned();
-    let man = Man::new(command.clone());
+    let man = Man::new(command.clone().subcommand_value_name("COMMAND"));
     let mut page = Roff::new();
     page.control("SH", ["DESCRIPTION"]);
     page.text([roman(sentence(&command))]);
