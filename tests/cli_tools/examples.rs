@@ -79,9 +79,11 @@ fn folder() -> Lab {
         lab.write(name, bytemuck::cast_slice::<Ray, u8>(&rays));
     }
     lab.write("scene.txt", "resolution 640 512\nframe 0 -0.3 -1\noct bunny.oct\n");
-    std::fs::create_dir(lab.path("scenes")).unwrap();
+    std::fs::create_dir_all(lab.path("scenes/parts")).unwrap();
     let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
-    std::fs::copy(scenes.join("mirror_room.txt"), lab.path("scenes/mirror_room.txt")).unwrap();
+    for name in ["mirror_room.txt", "parts/checker.txt"] {
+        std::fs::copy(scenes.join(name), lab.path("scenes").join(name)).unwrap();
+    }
     std::fs::copy(lab.path("bunny.oct"), lab.path("scenes/bunny.oct")).unwrap();
     lab
 }
