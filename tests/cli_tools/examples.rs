@@ -112,6 +112,7 @@ fn ply() -> String {
 
 /// Runs an example by the shell; the files that it names for its outputs must be there then.
 fn run(lab: &Lab, example: &str) {
+    let example = example.split(" # ").next().unwrap().trim_end();
     let less = LESS.iter().find(|(much, _)| example.contains(much));
     let mut line = less.map_or(example.to_owned(), |(much, less)| example.replacen(much, less, 1));
     // A mesh by itself is drawn with 1024 x 1024 pixels; the scene here is small as it is.
@@ -127,7 +128,7 @@ fn run(lab: &Lab, example: &str) {
     command.env("PATH", path.unwrap()).env("NO_COLOR", "1").env("XDG_CACHE_HOME", lab.path("cache"));
     let output = command.output().unwrap();
     assert_eq!(output.status.code(), Some(0), "{line}\n{}", told(&output));
-    let words: Vec<&str> = line.split_whitespace().take_while(|&word| word != "#").collect();
+    let words: Vec<&str> = line.split_whitespace().collect();
     for pair in words.windows(2).filter(|pair| ["-o", ">"].contains(&pair[0]) && pair[1] != "-") {
         let plot = line.starts_with("octbench tradeoff");
         let names =
