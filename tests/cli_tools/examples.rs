@@ -75,9 +75,7 @@ fn folder() -> Lab {
     lab.done("octbuild", &["bunny.obj", "-o", "packed.oct", "--compress", "zstd", "-q"]);
     lab.done("octbuild", &["city.obj", "-o", "city.oct", "--origin", "4.5e5,5.4e6,0", "-q"]);
     let rays: Vec<Ray> = (0..100).map(|i| Ray::new([i as f32 * 0.02 - 1.0, 0.0, -3.0], [0.0, 0.0, 1.0])).collect();
-    for name in ["rays.bin", "rays"] {
-        lab.write(name, bytemuck::cast_slice::<Ray, u8>(&rays));
-    }
+    lab.write("rays.bin", bytemuck::cast_slice::<Ray, u8>(&rays));
     lab.write("scene.txt", "resolution 640 512\nframe 0 -0.3 -1\noct bunny.oct\n");
     std::fs::create_dir_all(lab.path("scenes/parts")).unwrap();
     let scenes = Path::new(env!("CARGO_MANIFEST_DIR")).join("scenes");
