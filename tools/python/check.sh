@@ -35,6 +35,5 @@ rm -rf "$wheels"
 "$venv/bin/maturin" build --locked --profile "$profile" --target-dir "$target" --manifest-path "$here/Cargo.toml" --out "$wheels" \
     --interpreter "$venv/bin/python"
 pip install "$wheels"/octrace-*.whl
-# Not in the sources' folder, where Python would take the package without its Rust part.
 cd "$scratch"
 "$venv/bin/python" -m pytest -q -p no:cacheprovider "$@" "$here/tests"

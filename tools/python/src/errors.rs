@@ -1,4 +1,4 @@
-//! Errors of the library as exceptions; the classes are in `octrace/errors.py`.
+//! Errors of the library as exceptions; the classes are in `python/octrace/errors.py`.
 
 use octrace::{Error, Kind};
 use pyo3::PyErr;

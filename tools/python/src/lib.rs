@@ -2,7 +2,7 @@
 //!
 //! `octree.rs` is the opened file and answers rays, `build.rs` makes files, of mesh files and of arrays. `arrays.rs` reads rays where numpy
 //! has them, `watch.rs` runs a build on another thread while this one calls Python, `threads.rs` has the threads that trace. The types
-//! are told to type checkers in `octrace/_octrace.pyi`.
+//! are told to type checkers in `python/octrace/_octrace.pyi`.
 
 mod arrays;
 mod build;

@@ -29,13 +29,16 @@ const RAY_BYTES: u64 = 48 + 128;
 /// Its methods may be called from several threads at once; each uses all cores and lets other Python threads run.
 #[pyclass(frozen, module = "octrace")]
 pub struct Octree {
-    tracer: OctreeTracer<map::Octree>,
+    /// In a box, as Python aligns its objects to 16 bytes and a tracer needs more.
+    tracer: Box<OctreeTracer<map::Octree>>,
     /// Rays between two looks at whether to stop, and rays at a time.
     stretch: usize,
     piece: usize,
     /// Whether the file is of no one else.
     own: Option<Own>,
 }
+
+const _: () = assert!(align_of::<Octree>() <= 16, "Python aligns its objects to 16 bytes");
 
 /// A file that goes with its octree.
 struct Own {
@@ -187,7 +190,7 @@ impl Octree {
                 octree => (octree, STRETCH, PIECE),
             },
         };
-        Ok(Octree { tracer: OctreeTracer::new(octree), stretch, piece, own: None })
+        Ok(Octree { tracer: Box::new(OctreeTracer::new(octree)), stretch, piece, own: None })
     }
 
     /// Opens a file in a temporary folder, which goes with it.

@@ -69,9 +69,9 @@ def test_faults_of_a_mesh_are_errors_or_warnings(tmp_path):
     assert report["triangles"] == 1 and report["dropped"]["bad_index"] == 1
     painted = tmp_path / "painted.obj"
     painted.write_text("mtllib none.mtl\nusemtl red\nv 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
-    with pytest.warns(octrace.BuildWarning, match="none.mtl") as warned:
+    with pytest.warns(octrace.BuildWarning) as warned:
         octrace.build(painted, tmp_path / "a.oct")
-    assert warned[0].filename == __file__
+    assert any("none.mtl" in str(warning.message) for warning in warned) and {warning.filename for warning in warned} == {__file__}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(octrace.BuildWarning):
@@ -93,7 +93,8 @@ def test_options_are_heard(bunny, bunny_obj, tmp_path):
         octrace.build(bunny_obj, tmp_path / "a.oct", **options)
         assert (tmp_path / "a.oct").stat().st_size < plain, options
     (tmp_path / "temp").mkdir()
-    octrace.build(bunny_obj, tmp_path / "a.oct", temp=tmp_path / "temp", resume=True, memory=1 << 27)
+    with pytest.warns(octrace.BuildWarning, match="no unfinished build"):
+        octrace.build(bunny_obj, tmp_path / "a.oct", temp=tmp_path / "temp", resume=True, memory=1 << 27)
     assert (tmp_path / "a.oct").read_bytes() == bunny.path.read_bytes()
     with pytest.raises(octrace.MachineError, match="no_such"):
         octrace.build(bunny_obj, tmp_path / "no_such" / "a.oct")

@@ -42,10 +42,10 @@ def judge(mesh):
 def rays(mesh, judge):
     """Rays of no plan, and rays aimed at vertices and at edges."""
     bounds = np.asarray(mesh.bounds, np.float32)
-    origins, directions = chords(bounds, 26_000, seed=7)
+    origins, directions = chords(bounds, 20_600, seed=7)
     random = np.random.default_rng(8)
-    corners = judge.corners[random.integers(len(judge.corners), size=6000)]
-    share = random.random((6000, 1), dtype=np.float32) * (np.arange(6000) % 2)[:, None]
+    corners = judge.corners[random.integers(len(judge.corners), size=600)]
+    share = random.random((600, 1), dtype=np.float32) * (np.arange(600) % 2)[:, None]
     directions[20_000:] = corners[:, 0] + share * (corners[:, 1] - corners[:, 0]) - origins[20_000:]
     return origins, directions
 
@@ -57,9 +57,8 @@ def test_first_and_any(mesh, ours, judge, rays):
     reasons = collections.Counter()
     for i in np.flatnonzero(first != theirs):
         hits = judge.hits(origins[i], directions[i])
+        assert_first(hits, first[i])
         nearest = [face for t, face, _ in hits if t == hits[0][0]]
-        # Of two triangles that meet at an edge one may be named; none may be missed.
-        assert first[i] in nearest if hits else first[i] == -1, i
         faces = {int(first[i]), int(theirs[i])} - {-1}
         clearance = min(judge.clearance(face, origins[i], directions[i]) for face in faces)
         assert clearance < ROUNDING * mesh.scale, (i, first[i], theirs[i])
@@ -78,7 +77,7 @@ def test_first_and_any(mesh, ours, judge, rays):
 
 @pytest.mark.parametrize("multiple", [False, True])
 def test_locations(mesh, ours, judge, rays, multiple):
-    origins, directions = (column[:22_000] for column in rays)
+    origins, directions = (column[:20_300] for column in rays)
     locations, index_ray, index_tri = ours.intersects_location(origins, directions, multiple_hits=multiple)
     theirs = mesh.ray.intersects_location(origins, directions, multiple_hits=multiple)
     assert [a.dtype for a in (locations, index_ray, index_tri)] == [np.float64, np.int64, np.int64]
@@ -86,16 +85,33 @@ def test_locations(mesh, ours, judge, rays, multiple):
     assert len(mine) == len(index_ray), "each triangle once for a ray"
     both = mine.keys() & yours.keys()
     assert len(both) > 2500
-    reasons, apart = collections.Counter(), 0
+    reasons, grazing = collections.Counter(), 0
     for ray, face in both:
-        # Each place is off by the rounding of t along the ray; theirs is then on the plane, in float64.
-        apart = max(apart, np.abs(mine[ray, face] - yours[ray, face]).max())
-    assert apart < 1e-5 * mesh.scale
+        apart = np.abs(mine[ray, face] - yours[ray, face]).max() / mesh.scale
+        if apart > 1e-6:
+            # The ray grazes the triangle; ours is off by no more than the rounding of t.
+            t = float(depth_of(judge.hits(origins[ray], directions[ray]), face))
+            exact = origins[ray].astype(float) + directions[ray].astype(float) * t
+            off, wide = (np.abs(hits[ray, face] - exact).max() / mesh.scale for hits in (mine, yours))
+            assert off < 1e-7 < wide, (ray, face, off, wide)
+            grazing += 1
+    assert grazing < 100
     for ray in sorted({ray for ray, _ in mine.keys() ^ yours.keys()}):
         why = reason(judge, mesh.scale, origins[ray], directions[ray], *(of_ray(hits, ray) for hits in (mine, yours)), multiple)
         reasons["aimed" if ray >= 20_000 else "of no plan", why] += 1
     print(*(f"{count:6} of the rays {kind}: {why}" for (kind, why), count in sorted(reasons.items())), sep="\n")
     assert sum(count for (kind, _), count in reasons.items() if kind == "of no plan") < 100
+
+
+def assert_first(hits, face):
+    """The face is the nearest of the exact hits (-1: there are none). Where a ray passes an edge or a corner exactly, those triangles may be left
+    out that it only touches."""
+    skipped = [hit for hit in hits if face == -1 or hit[0] < depth_of(hits, face)]
+    assert all(on_edge for *_, on_edge in skipped) and (face == -1 or face in {face for _, face, _ in hits}), (face, hits)
+
+
+def depth_of(hits, face):
+    return next((t for t, other, _ in hits if other == face), np.inf)
 
 
 def table(rays, faces, locations):
@@ -109,25 +125,23 @@ def of_ray(hits, ray):
 def reason(judge, scale, origin, direction, mine, yours, multiple):
     """Why the faces that Embree names for a ray are others; fails if ours are not the exact ones, or if there is no reason."""
     hits = judge.hits(origin, direction)
-    if not multiple:
-        hits = [hit for hit in hits if hit[0] == hits[0][0]]
-    exact, edges = {face for _, face, _ in hits}, {face for _, face, on_edge in hits if on_edge}
-    assert mine <= exact and exact - mine <= edges and bool(mine) == bool(exact), "ours are not the exact hits"
+    if multiple:
+        exact, edges = {face for _, face, _ in hits}, {face for _, face, on_edge in hits if on_edge}
+        assert mine <= exact and exact - mine <= edges, "ours are not the exact hits"
+    else:
+        assert_first(hits, *(mine or {-1}))
+    odd = mine ^ yours
+    edge = {face for face in odd if judge.clearance(face, origin, direction) < ROUNDING * scale}
     length = np.linalg.norm(direction.astype(float))
-    reasons = set()
-    for face in mine ^ yours:
-        near = [other for _, other, _ in hits if other != face and abs(depth(hits, other) - depth(hits, face)) * length < 4 * STEP * scale]
-        if judge.clearance(face, origin, direction) < ROUNDING * scale:
-            reasons.add("passes an edge within Embree's rounding")
-        elif face in mine and near:
-            reasons.add("trimesh steps over a layer that is close behind another")
-        else:
-            raise AssertionError(f"no reason: face {face}, {'only ours' if face in mine else 'only theirs'}")
-    return " and ".join(sorted(reasons))
-
-
-def depth(hits, face):
-    return next((float(t) for t, other, _ in hits if other == face), np.inf)
+    layers = {
+        face
+        for face in odd & mine
+        for t, other, _ in hits
+        if other != face and abs(t - depth_of(hits, face)) * length < 4 * STEP * scale
+    }
+    # With one wrong face the nearest is another one.
+    assert odd <= edge | layers or (edge and not multiple), (odd, edge, layers)
+    return "Embree's rounding decides at an edge" if edge else "trimesh steps over a layer that is close behind another"
 
 
 def test_ids(ours, rays):

@@ -5,7 +5,7 @@
 >>> bunny = octrace.Octree.open("bunny.oct")
 >>> t, face, u, v = bunny.intersect([[0, 0.1, 1]], [[0, 0, -1]])
 >>> face
-array([54882], dtype=uint32)
+array([35231], dtype=uint32)
 
 Which triangle a ray hits is decided as in exact arithmetic on the coordinates stored, and ``t`` is the float32 nearest to the true value.
 """

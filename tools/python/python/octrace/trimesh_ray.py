@@ -5,7 +5,7 @@
 >>> mesh = trimesh.load_mesh("bunny.obj", process=False)
 >>> mesh.ray = RayMeshIntersector(mesh)
 >>> mesh.ray.intersects_first([[0, 0.1, 1]], [[0, 0, -1]])
-array([54882])
+array([35231])
 """
 
 from __future__ import annotations
@@ -62,17 +62,17 @@ class RayMeshIntersector:
     def _query(self, origins: ArrayLike, directions: ArrayLike) -> tuple[Octree, NDArray[np.float32], NDArray[np.float32]]:
         """The octree, and rays in its frame as float32, (n, 3)."""
         octree = self._rays()
-        origins, directions = np.asanyarray(origins), np.asanyarray(directions)
-        if origins.shape != directions.shape:
+        starts, ways = np.asanyarray(origins), np.asanyarray(directions)
+        if starts.shape != ways.shape:
             raise ValueError("Ray origin and direction don't match!")
         if self._shift is not None:
-            origins = origins - self._shift
-        if directions.dtype != np.float32:
+            starts = starts - self._shift
+        if ways.dtype != np.float32:
             # Brought into float32's range by a power of two, which leaves the line as it is.
-            directions = np.asarray(directions, dtype=np.float64).reshape((-1, 3))
-            longest = np.abs(directions).max(axis=1, initial=0, keepdims=True)
-            directions = np.ldexp(directions, -np.frexp(np.where(np.isfinite(longest), longest, 0))[1])
-        return octree, _points(origins), _points(directions)
+            ways = np.asarray(ways, dtype=np.float64).reshape((-1, 3))
+            longest = np.abs(ways).max(axis=1, initial=0, keepdims=True)
+            ways = np.ldexp(ways, -np.frexp(np.where(np.isfinite(longest), longest, 0))[1])
+        return octree, _points(starts), _points(ways)
 
     def intersects_location(
         self, ray_origins: ArrayLike, ray_directions: ArrayLike, multiple_hits: bool = True
@@ -129,12 +129,9 @@ class RayMeshIntersector:
         index_ray, *_ = octree.intersect_all(origins, np.array([0.43950644, 0.61759863, 0.65223157], np.float32))
         return np.bincount(index_ray, minlength=len(origins)) % 2 == 1
 
-    def __getstate__(self) -> dict[str, Any]:
-        # An octree file that was given must be opened again by whoever unpickles this.
-        return {"mesh": self.mesh}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__init__(state["mesh"])
+    def __reduce__(self) -> tuple[Any, ...]:
+        # An octree file that was given must be given again by whoever unpickles this.
+        return RayMeshIntersector, (self.mesh,)
 
     def __copy__(self) -> RayMeshIntersector:
         return RayMeshIntersector(self.mesh, self._given)
