@@ -171,6 +171,7 @@ fn a_crop_and_threads_change_nothing() {
     let part = all(&world, Settings { crop: Some([20, 10, 40, 50]), ..Settings::default() });
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
     assert_eq!(pool.install(|| all(&world, Settings::default())), whole);
+    assert_eq!(all(&world, Settings { wave: 7, tile: 5, ..Settings::default() }), whole);
     for (whole, part) in whole.iter().zip(&part) {
         assert_eq!((part.width, part.height), (20, 40));
         let from = |x: usize, y: usize| (y + 10) * 65 + x + 20;

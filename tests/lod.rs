@@ -1,5 +1,9 @@
 //! Level of detail: what is claimed of surrogates, measured ray by ray on whole meshes.
 
+#[path = "lod/scenes.rs"]
+mod scenes;
+#[path = "lod/secondary.rs"]
+mod secondary;
 mod trace_common;
 
 use std::path::{Path, PathBuf};
@@ -8,23 +12,21 @@ use std::sync::Arc;
 use glam::{DVec3, Vec3};
 use octrace::Monitor;
 use octrace::build::{BuildOptions, build};
+use octrace::format::SplitMode;
 use octrace::geometry::{Aabb, Ray, Skip, Triangle};
 use octrace::map::{Octree, Read};
 use octrace::mesh::{self, ReadOptions};
-use octrace::render::{Settings, render};
-use octrace::scene::{Camera, Scene};
-use octrace::shade::World;
 use octrace::trace::{Approximate, Counters, Footprint, Isa, Met, OctreeTracer, Tracer, triangles_in_box};
 use trace_common::Mesh;
 
 /// An octree file of a mesh file, in pages of at most `brick` triangles.
-fn file(obj: &Path, brick: u32, folder: &Path) -> Octree {
+fn file(obj: &Path, brick: u32, folder: &Path) -> Arc<Octree> {
     let name = format!("{}-{brick}.oct", obj.file_stem().unwrap().to_string_lossy());
     let output = folder.join(name);
     let mut source = mesh::open(obj, &ReadOptions::default()).unwrap();
     let options = BuildOptions { brick: Some(brick), ..BuildOptions::default() };
     build(source.as_mut(), &output, &options, Monitor::silent()).unwrap();
-    Octree::open(&output).unwrap()
+    Arc::new(Octree::open(&output).unwrap())
 }
 
 fn asset(name: &str) -> PathBuf {
@@ -44,8 +46,8 @@ fn planet_mesh(levels: u32) -> Mesh {
     mesh
 }
 
-fn planet() -> Octree {
-    planet_mesh(7).octree(&pages(1000))
+fn planet() -> Arc<Octree> {
+    Arc::new(planet_mesh(7).octree(&pages(1000)))
 }
 
 /// Many small pages.
@@ -60,7 +62,7 @@ struct View {
 }
 
 /// Looks from the side at a mesh, so that it is about `across` pixels wide.
-fn view(octree: &Octree, across: u32, from: DVec3) -> View {
+fn view(octree: &Arc<Octree>, across: u32, from: DVec3) -> View {
     let bounds = octree.bounds();
     let (centre, radius) =
         ((bounds.min + bounds.max).as_dvec3() * 0.5, 0.5 * (bounds.max - bounds.min).length() as f64);
@@ -77,7 +79,7 @@ fn view(octree: &Octree, across: u32, from: DVec3) -> View {
     View { rays: rays.collect(), footprint: Footprint { width: 0.0, spread: pixel, lifted: false } }
 }
 
-fn met(tracer: &OctreeTracer<&Octree>, view: &View, pixels: f64) -> Vec<Met> {
+fn met(tracer: &OctreeTracer<Arc<Octree>>, view: &View, pixels: f64) -> Vec<Met> {
     let footprints = vec![view.footprint; view.rays.len()];
     let mut met = vec![Met::Nothing; view.rays.len()];
     tracer.closest_coarse(&view.rays, &footprints, pixels, &mut met, &mut Counters::default()).unwrap();
@@ -103,7 +105,7 @@ fn distance(p: DVec3, triangle: &Triangle) -> f64 {
 }
 
 /// The distance from a point to the nearest triangle, if that is at most `reach`.
-fn to_surface(octree: &Octree, p: DVec3, reach: f64) -> Option<f64> {
+fn to_surface(octree: &Arc<Octree>, p: DVec3, reach: f64) -> Option<f64> {
     let wide = DVec3::splat(reach * 1.001) + p.abs() * 1e-6;
     let bounds = Aabb { min: (p - wide).as_vec3(), max: (p + wide).as_vec3() };
     let mut least = f64::INFINITY;
@@ -131,8 +133,8 @@ struct Measured {
 }
 
 /// Checks every ray of a view against the claims of `Approximate`.
-fn measure(octree: &Octree, view: &View, pixels: f64) -> Measured {
-    let tracer = OctreeTracer::new(octree);
+fn measure(octree: &Arc<Octree>, view: &View, pixels: f64) -> Measured {
+    let tracer = OctreeTracer::new(octree.clone());
     let mut sum = Measured::default();
     for (ray, met) in view.rays.iter().zip(met(&tracer, view, pixels)) {
         let truth = tracer.closest(ray, Skip::NONE).unwrap();
@@ -173,7 +175,7 @@ fn measure(octree: &Octree, view: &View, pixels: f64) -> Measured {
 }
 
 /// The claims on a mesh, from near enough for triangles to far enough for hardly any.
-fn check(octree: &Octree, name: &str, least_surrogates: usize) {
+fn check(octree: &Arc<Octree>, name: &str, least_surrogates: usize) {
     let from = [DVec3::new(0.3, 0.2, 1.0), DVec3::new(-1.0, 0.1, 0.05), DVec3::Y];
     let mut surrogates = 0;
     for (across, from) in [200, 40, 16].into_iter().zip(from) {
@@ -196,43 +198,25 @@ fn surrogates_are_as_near_as_they_claim() {
     check(&planet(), "planet", 2000);
     check(&file(&asset("bunny.obj"), 1000, folder.path()), "bunny", 500);
     check(&file(&asset("bunny.obj"), 1 << 20, folder.path()), "bunny in one page", 500);
-    check(&Mesh::room().octree(&BuildOptions { brick: Some(300), ..BuildOptions::default() }), "room", 0);
+    check(&Arc::new(Mesh::room().octree(&pages(300))), "room", 0);
+    for (split, name) in [(SplitMode::Octree, "planet in cells"), (SplitMode::Strict, "planet in strict cells")] {
+        check(&Arc::new(planet_mesh(6).octree(&BuildOptions { split, ..pages(1000) })), name, 500);
+    }
     match std::env::var_os("OCTRACE_DATA").map(|data| Path::new(&data).join("spot.obj")).filter(|spot| spot.exists()) {
         Some(spot) => check(&file(&spot, 1000, folder.path()), "spot", 50),
         None => eprintln!("skipped: spot.obj (OCTRACE_DATA is not set, or has none)"),
     }
 }
 
-/// Shadows, likewise: what truly blocks a ray before its end is never lost.
-#[test]
-fn no_blocked_ray_is_let_through() {
-    let octree = planet();
-    let tracer = OctreeTracer::new(&octree);
-    let view = view(&octree, 60, DVec3::new(0.3, 0.2, 1.0));
-    let footprint = Footprint { width: 0.02, spread: 0.0, lifted: false };
-    let (skips, footprints) = (vec![Skip::NONE; view.rays.len()], vec![footprint; view.rays.len()]);
-    let (mut coarse, mut exact) = (vec![false; view.rays.len()], vec![false; view.rays.len()]);
-    let counters = &mut Counters::default();
-    tracer.any_coarse(&view.rays, &skips, &footprints, 2.0, &mut coarse, counters).unwrap();
-    let visits = counters.triangles;
-    tracer.any_each(&view.rays, &skips, &mut exact, counters).unwrap();
-    let blocked = exact.iter().filter(|&&b| b).count();
-    assert!(blocked > 500 && coarse.iter().zip(&exact).all(|(coarse, exact)| *coarse || !exact));
-    // And hardly more are: the limb has grown by a part of a pixel.
-    let more = coarse.iter().filter(|&&b| b).count() - blocked;
-    assert!(more < blocked / 10, "{more} of {blocked}");
-    assert!(visits < counters.triangles - visits, "{visits} of {counters:?}");
-}
-
 #[test]
 fn all_instruction_sets_agree() {
     let octree = planet();
     let view = view(&octree, 40, DVec3::new(0.3, 0.2, 1.0));
-    let all = Isa::available().into_iter().map(|isa| met(&OctreeTracer::new(&octree).with_isa(isa), &view, 1.0));
+    let all = Isa::available().into_iter().map(|isa| met(&OctreeTracer::new(octree.clone()).with_isa(isa), &view, 1.0));
     let all: Vec<Vec<Met>> = all.collect();
     assert!(all.iter().all(|met| *met == all[0]));
     // Nor does the order matter.
-    assert!(met(&OctreeTracer::new(&octree).backward(), &view, 1.0) == all[0]);
+    assert!(met(&OctreeTracer::new(octree.clone()).backward(), &view, 1.0) == all[0]);
 }
 
 /// Rays without width are traced exactly, as are those from very far away.
@@ -240,7 +224,7 @@ fn all_instruction_sets_agree() {
 fn lines_are_exact() {
     let octree = planet();
     let mut view = view(&octree, 40, DVec3::new(0.3, 0.2, 1.0));
-    let tracer = OctreeTracer::new(&octree);
+    let tracer = OctreeTracer::new(octree.clone());
     let truth = |view: &View| -> Vec<Met> {
         let closest = |ray| tracer.closest(ray, Skip::NONE).unwrap().map_or(Met::Nothing, Met::Triangle);
         view.rays.iter().map(closest).collect()
@@ -255,99 +239,31 @@ fn lines_are_exact() {
     assert_eq!(met(&tracer, &view, 4.0), truth(&view));
 }
 
-/// A scene that shows a mesh `across` pixels wide in the middle of a picture, with a lamp's shadows and a mirror's bounce.
-fn far_scene(octree: &Octree, across: f64) -> Scene {
-    let mut scene = Scene::for_mesh(octree.path(), true);
-    let bounds = octree.bounds();
-    let (centre, radius) =
-        ((bounds.min + bounds.max).as_dvec3() * 0.5, 0.5 * (bounds.max - bounds.min).max_element() as f64);
-    scene.size = [96, 96];
-    let fov = 30f64;
-    let distance = radius / (across / 96.0 * (fov / 2.0).to_radians().tan());
-    scene.camera =
-        Camera::LookAt { eye: centre + distance * DVec3::new(0.36, 0.48, 0.8), at: centre, up: DVec3::Y, fov };
-    scene.floor = None;
-    for material in &mut scene.materials {
-        (material.reflect, material.diffuse) = (0.3, DVec3::new(0.4, 0.5, 0.6));
-    }
-    (scene.samples, scene.depth) = (4, 2);
-    scene
-}
-
-fn drawn(octree: &Octree, scene: &Scene, lod: Option<f64>) -> (octrace::render::Picture, usize) {
-    // Opened anew, so that it is known which pages are used.
-    let octree = Arc::new(Octree::open(octree.path()).unwrap());
-    let world = World::new(scene.clone(), vec![octree.clone()], Monitor::silent()).unwrap();
-    let world = match lod {
-        Some(pixels) => world.with_lod(pixels).unwrap(),
-        None => world,
-    };
-    let picture = render(&world, &Settings::default(), Monitor::silent()).unwrap();
-    (picture, octree.figures().touched as usize)
-}
-
-#[test]
-fn level_zero_is_the_exact_picture() {
-    let folder = tempfile::tempdir().unwrap();
-    let octree = file(&asset("bunny.obj"), 1000, folder.path());
-    let scene = far_scene(&octree, 60.0);
-    let ((exact, pages), (zero, same_pages)) = (drawn(&octree, &scene, None), drawn(&octree, &scene, Some(0.0)));
-    assert!(exact.film.pixels() == zero.film.pixels());
-    assert_eq!((pages, zero.statistics.detail.hits), (same_pages, 0));
-    assert_eq!(exact.statistics.rays, zero.statistics.rays);
-}
-
 #[test]
 fn rays_that_wait_for_pages_meet_the_same() {
     let folder = tempfile::tempdir().unwrap();
-    let octree = planet_mesh(7).octree_at(&folder.path().join("planet.oct"), &pages(500));
+    let octree = Arc::new(planet_mesh(7).octree_at(&folder.path().join("planet.oct"), &pages(500)));
     let view = view(&octree, 60, DVec3::new(0.4, 0.5, 0.8));
-    let right = met(&OctreeTracer::new(&octree), &view, 0.5);
+    let right = met(&OctreeTracer::new(octree.clone()), &view, 0.5);
     let surrogates = right.iter().filter(|met| matches!(met, Met::Surrogate(_))).count();
     let triangles = right.iter().filter(|met| matches!(met, Met::Triangle(_))).count();
     assert!(surrogates > 100 && triangles > 100, "{surrogates} surrogates, {triangles} triangles");
     let least = Octree::least_cache(octree.path()).unwrap();
     for cache in [least, 10 * least] {
-        let octree = Octree::open_with(octree.path(), Read::Budgeted { cache }).unwrap();
-        assert!(met(&OctreeTracer::new(&octree), &view, 0.5) == right, "with {cache} bytes");
+        let octree = Arc::new(Octree::open_with(octree.path(), Read::Budgeted { cache }).unwrap());
+        assert!(met(&OctreeTracer::new(octree.clone()), &view, 0.5) == right, "with {cache} bytes");
         let read = octree.figures();
         assert!(read.touched > 10 && read.reread > 0 && read.most_bytes <= cache, "{read:?}");
     }
 }
 
 #[test]
-fn a_far_view_needs_few_pages_and_is_off_by_little() {
-    let folder = tempfile::tempdir().unwrap();
-    let octree = planet_mesh(8).octree_at(&folder.path().join("planet.oct"), &pages(4000));
-    let scene = far_scene(&octree, 16.0);
-    let (exact, pages) = drawn(&octree, &scene, None);
-    let (coarse, few) = drawn(&octree, &scene, Some(1.0));
-    assert!(few * 4 < pages, "{few} pages, {pages} of the exact picture");
-    let detail = coarse.statistics.detail;
-    assert!(detail.hits > 100 && detail.largest <= 1.0 && detail.largest > 0.2, "{detail:?}");
-    assert_eq!(detail.histogram.iter().sum::<u64>(), detail.hits);
-    let squares = exact
-        .film
-        .pixels()
-        .iter()
-        .zip(coarse.film.pixels())
-        .flat_map(|(a, b)| (0..3).map(|i| f64::from(a[i] - b[i]).powi(2)));
-    let (count, sum) = squares.fold((0, 0.0), |(count, sum), square| (count + 1, sum + square));
-    let rmse = (sum / f64::from(count)).sqrt();
-    eprintln!("{few} of {pages} pages, RMSE {rmse:.4}, {detail:?}");
-    // The scene's own material is kept: the pictures are equally bright.
-    let brightness = |film: &octrace::render::Film| film.pixels().iter().map(|p| f64::from(p[0])).sum::<f64>();
-    let ratio = brightness(&coarse.film) / brightness(&exact.film);
-    assert!((0.95..1.05).contains(&ratio), "{ratio}");
-    assert!(rmse > 0.0 && rmse < 0.01, "{rmse}");
-}
-
-#[test]
 fn files_without_surrogates_and_linear_scenes_are_refused() {
-    let octree = Mesh::sphere(3, 0.0).octree(&BuildOptions { lod: false, ..BuildOptions::default() });
+    let octree = Arc::new(Mesh::sphere(3, 0.0).octree(&BuildOptions { lod: false, ..BuildOptions::default() }));
     let footprints = [Footprint { width: 1.0, spread: 0.0, lifted: false }];
     let ray = [Ray::new([0.0, 0.0, 5.0], [0.0, 0.0, -1.0])];
     let mut met = [Met::Nothing];
-    let refused = OctreeTracer::new(&octree).closest_coarse(&ray, &footprints, 1.0, &mut met, &mut Counters::default());
+    let refused =
+        OctreeTracer::new(octree.clone()).closest_coarse(&ray, &footprints, 1.0, &mut met, &mut Counters::default());
     assert!(refused.unwrap_err().to_string().contains("has no level of detail"));
 }

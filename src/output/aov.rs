@@ -21,7 +21,8 @@ const NOTHING: [u8; 3] = [0; 3];
 /// How a picture of data is written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AovFormat {
-    /// OpenEXR: f32 or u32 as they are. Depth is channel `Z`, normals and positions are `X`, `Y`, `Z`, ids are `id`, the rest is `Y`.
+    /// OpenEXR: f32 or u32 as they are. Depth is channel `Z`, normals are `N.X`, `N.Y`, `N.Z`, positions `P.X` and so on, ids are `id`, the rest
+    /// is `Y`, as renderers name them and compositors expect them.
     Exr,
     /// False colours, eight bits a channel, with a legend below where colours stand for a scale.
     Png,
@@ -73,10 +74,11 @@ fn channels(aov: Aov) -> SmallVec<[AnyChannel<FlatSamples>; 4]> {
             smallvec![AnyChannel::new(name, FlatSamples::F32(values))]
         }
         Values::Vector(values) => {
+            let names = if aov.kind == AovKind::Normal { ["N.X", "N.Y", "N.Z"] } else { ["P.X", "P.Y", "P.Z"] };
             let channel = |(axis, name): (usize, &str)| {
                 AnyChannel::new(name, FlatSamples::F32(values.iter().map(|v| v[axis]).collect()))
             };
-            ["X", "Y", "Z"].into_iter().enumerate().map(channel).collect()
+            names.into_iter().enumerate().map(channel).collect()
         }
         Values::Id(values) => smallvec![AnyChannel::new("id", FlatSamples::U32(values))],
     }
@@ -182,8 +184,11 @@ fn what(kind: AovKind) -> &'static str {
     }
 }
 
-/// A number with four digits that count.
+/// A number with four digits that count; with a power of ten where it would be long.
 fn number(x: f32) -> String {
+    if x != 0.0 && !(1e-3..1e7).contains(&x.abs()) {
+        return format!("{x:.3e}");
+    }
     let digits = if x == 0.0 { 0 } else { (3 - x.abs().log10().floor() as i32).clamp(0, 6) };
     let text = format!("{x:.*}", digits as usize);
     if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
@@ -215,7 +220,9 @@ mod tests {
         assert_eq!(back, [("id".to_owned(), FlatSamples::U32(ids))]);
         let vectors = vec![[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [0.0; 3], [-1.0, -2.0, -3.0]];
         let back = read(aov(AovKind::Position, 2, Values::Vector(vectors)));
-        assert_eq!(back[1], ("Y".to_owned(), FlatSamples::F32(vec![2.0, 5.0, 0.0, -2.0])));
+        assert_eq!(back[1], ("P.Y".to_owned(), FlatSamples::F32(vec![2.0, 5.0, 0.0, -2.0])));
+        let back = read(aov(AovKind::Normal, 1, Values::Vector(vec![[0.0, 0.0, 1.0]; 2])));
+        assert_eq!(back.iter().map(|c| c.0.as_str()).collect::<Vec<_>>(), ["N.X", "N.Y", "N.Z"]);
     }
 
     #[test]
@@ -251,7 +258,8 @@ mod tests {
 
     #[test]
     fn numbers_are_short() {
-        let shown = [0.0, 1.0, 0.25, 1234.5678, 0.000_123_4, 7e9].map(number);
-        assert_eq!(shown, ["0", "1", "0.25", "1235", "0.000123", "7000000000"]);
+        let shown = [0.0, 1.0, 0.25, 1234.5678, 0.001_234, 123_456.7].map(number);
+        assert_eq!(shown, ["0", "1", "0.25", "1235", "0.001234", "123457"]);
+        assert_eq!([1.25e-7, 7e9, -1e30].map(number), ["1.250e-7", "7.000e9", "-1.000e30"]);
     }
 }

@@ -11,6 +11,9 @@ use crate::error::{Error, Result};
 use crate::event::Monitor;
 use crate::shade::{Look, Wave, World};
 
+/// Bytes that writing a pixel takes at most, one picture after the other: a copy in the file's format, and the file.
+const WRITING: u64 = 24;
+
 /// What a picture of data shows.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum AovKind {
@@ -118,9 +121,7 @@ pub fn aovs(world: &World, settings: &Settings, kinds: &[AovKind], monitor: Moni
     let (width, height) = (job.width, job.height);
     monitor.phase("aov");
     let count = width as usize * height as usize;
-    // Each is encoded by itself, which takes about as much again.
-    let bytes =
-        kinds.iter().map(|kind| kind.bytes()).sum::<u64>() + kinds.iter().map(|kind| kind.bytes()).max().unwrap_or(0);
+    let bytes = kinds.iter().map(|kind| kind.bytes()).sum::<u64>() + WRITING;
     film::room_for(bytes * count as u64, || format!("{} pictures of data of {width} x {height}", kinds.len()))?;
     let aov = |&kind: &AovKind| Aov { kind, width, height, values: kind.values(count) };
     let done = Mutex::new((kinds.iter().map(aov).collect::<Vec<_>>(), 0u64));
@@ -155,9 +156,12 @@ impl Desk {
     fn row(&mut self, job: &Job<'_>, y: u32, kinds: &[AovKind]) -> Result<()> {
         let Desk { wave, looks, work } = self;
         if kinds.iter().any(|kind| kind.looks()) {
-            wave.clear();
-            (0..job.width).for_each(|x| wave.add(job.middle(x, y)));
-            job.world.look(wave, kinds.contains(&AovKind::Shadow), looks)?;
+            looks.clear();
+            for x in (0..job.width).step_by(job.wave) {
+                wave.clear();
+                (x..job.width).take(job.wave).for_each(|x| wave.add(job.middle(x, y)));
+                job.world.look(wave, kinds.contains(&AovKind::Shadow), looks)?;
+            }
         }
         if kinds.iter().all(|kind| kind.looks()) {
             return Ok(());

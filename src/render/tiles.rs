@@ -126,7 +126,7 @@ pub(super) struct Job<'w> {
     /// Samples are k * k.
     pub k: u32,
     /// Most samples that are followed together.
-    wave: usize,
+    pub wave: usize,
 }
 
 /// Width and height of what is to be drawn.

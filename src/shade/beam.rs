@@ -1,10 +1,16 @@
-//! How wide rays are, for level of detail: a primary ray as a pixel, one that is mirrored or refracted goes on as it was, one to a light
-//! as the ray was that met the surface there.
+//! How wide rays are, for level of detail: a primary ray as a pixel, one to a light as the ray was that met the surface there.
+//!
+//! A ray that is mirrored or refracted is as wide as what a pixel shows there, or less, never more: else an error of one of its widths would be more than a pixel
+//! in the picture. A flat mirror changes nothing, a bulging one only spreads rays further. A flat boundary narrows them by Snell's law (Igehy,
+//! "Tracing ray differentials", 1999; here the lesser of the two directions across the ray). Where rays may be gathered, in a lens, a hollow mirror, or by vertex normals, they go
+//! on as lines, which are traced exactly.
 
 use glam::DMat3;
 
-use super::object::{Contact, Part, Placed};
+use super::object::{Contact, Kind, Part, Placed};
 use super::ray::WorldRay;
+use super::spot::{Anchor, Spot};
+use super::world::World;
 use crate::trace::Footprint;
 
 /// The width of a ray in world space.
@@ -32,6 +38,49 @@ impl Beam {
     /// That of a ray from there to a light.
     pub fn to_light(self) -> Beam {
         Beam { slope: 0.0, ..self }
+    }
+
+    /// After a mirror of that bend.
+    pub fn mirrored(self, bend: Bend) -> Beam {
+        match bend {
+            Bend::Flat | Bend::Bulging => self,
+            Bend::Gathering => Beam::LINE,
+        }
+    }
+
+    /// Behind a boundary of that bend, where light goes `eta` times as fast as before, or less: it came with the cosine `incoming` to the normal
+    /// and goes on with `outgoing`.
+    pub fn refracted(self, bend: Bend, eta: f64, [incoming, outgoing]: [f64; 2]) -> Beam {
+        if bend != Bend::Flat || !(eta > 0.0 && incoming > 0.0 && outgoing > 0.0) {
+            return Beam::LINE;
+        }
+        // In the plane of both rays angles change by eta incoming / outgoing, across it by eta; widths by outgoing / incoming, and not at all.
+        let ratio = outgoing / incoming;
+        Beam { width: self.width * ratio.min(1.0), slope: self.slope * eta * (1.0 / ratio).min(1.0), ..self }
+    }
+}
+
+/// How a surface is bent where a ray meets it, as far as the width of rays goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Bend {
+    /// Not at all: a triangle, a plane; or it counts as such: a surrogate.
+    Flat,
+    /// Toward the ray.
+    Bulging,
+    /// It may gather rays.
+    Gathering,
+}
+
+impl World {
+    /// How the surface is bent that a ray met.
+    pub(super) fn bend(&self, spot: &Spot) -> Bend {
+        match (&spot.anchor, &self.objects[spot.omit.object as usize].kind) {
+            (Anchor::Smooth, Kind::Ball(_)) if spot.front => Bend::Bulging,
+            (Anchor::Smooth, Kind::Ball(_)) => Bend::Gathering,
+            // Normals that are made up between vertices.
+            (Anchor::Triangle { .. }, _) if spot.shading != spot.normal => Bend::Gathering,
+            _ => Bend::Flat,
+        }
     }
 }
 
@@ -103,6 +152,41 @@ mod tests {
         assert!((least_scale(&uneven) - 1.0).abs() < 1e-9);
         let shear = DMat3::from_cols(DVec3::X, DVec3::new(0.9, 0.2, 0.0), DVec3::Z);
         assert!(least_scale(&shear) <= (shear * DVec3::new(0.9, -1.0, 0.0).normalize()).length());
+    }
+
+    /// A narrow beam is followed through a flat boundary ray by ray.
+    #[test]
+    fn refracted_rays_are_no_wider_than_they_should_be() {
+        // From (0, 1, 0) at unit distance, down through the plane y = 0, then as far as `way`: where it is.
+        let follow = |direction: DVec3, eta: f64| {
+            let at = DVec3::Y - direction * (1.0 / direction.y);
+            let (d, n) = (direction.normalize(), DVec3::Y);
+            let cosine = -d.dot(n);
+            let out = eta * d + (eta * cosine - (1.0 - eta * eta * (1.0 - cosine * cosine)).sqrt()) * n;
+            (at, out)
+        };
+        let step = 1e-6;
+        for (eta, way) in [1.0 / 1.5, 1.5, 1.0, 1.0 / 2.4].into_iter().flat_map(|eta| [(eta, 0.01), (eta, 3.0)]) {
+            for lean in [0.0, 0.2, 0.6, 0.82] {
+                let ahead = DVec3::new(lean, -1.0, 0.0);
+                let (at, out) = follow(ahead, eta);
+                let distance = (at - DVec3::Y).length();
+                let beam = Beam { width: distance * step, slope: step, lifted: false };
+                let cosines = [-ahead.normalize().y, -out.y];
+                let claimed = beam.refracted(Bend::Flat, eta, cosines);
+                let claimed = claimed.width + claimed.slope * way;
+                // Rays a step away, in both directions across, where they pass the plane that stands on the ray there.
+                let widths = [DVec3::new(1.0, lean, 0.0), DVec3::Z].map(|across| {
+                    let (from, along) = follow(ahead + across.normalize() * step * ahead.length(), eta);
+                    let p = at + out * way;
+                    (from + along * ((p - from).dot(out) / along.dot(out)) - p).length()
+                });
+                let least = widths[0].min(widths[1]);
+                assert!(claimed <= least * 1.0001, "{eta}, {lean}, {way}: {claimed} of {widths:?}");
+                assert!(claimed >= least * 0.3, "{eta}, {lean}, {way}: {claimed} of {widths:?}");
+            }
+        }
+        assert_eq!(Beam { slope: 1.0, ..Beam::LINE }.refracted(Bend::Bulging, 0.7, [1.0; 2]), Beam::LINE);
     }
 
     #[test]

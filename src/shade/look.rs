@@ -28,7 +28,7 @@ pub struct Look {
 }
 
 impl World {
-    /// What each ray of a fresh wave meets first; `looks[i]` is that of sample `i`. Lights are asked only for `shadows`. Then the wave is to be cleared.
+    /// Appends to `looks` what each ray of a fresh wave meets first, sample by sample. Lights are asked only for `shadows`. Then the wave is to be cleared.
     pub fn look(&self, wave: &mut Wave, shadows: bool, looks: &mut Vec<Option<Look>>) -> Result<()> {
         self.strike(wave)?;
         if shadows {
@@ -45,8 +45,8 @@ impl World {
                 self.shine(&light, wave)?;
             }
         }
-        looks.clear();
-        looks.resize(wave.front.rays.len(), None);
+        let first = looks.len();
+        looks.resize(first + wave.front.rays.len(), None);
         let lights = self.scene.lights.len() as u32;
         for struck in &wave.struck {
             let i = struck.ray as usize;
@@ -56,7 +56,7 @@ impl World {
                 None => continue,
             };
             let unlit = if shadows { lights - struck.lights } else { 0 };
-            looks[i] = Some(Look {
+            looks[first + i] = Some(Look {
                 depth: (spot.point - wave.front.rays[i].origin).length(),
                 point: spot.point,
                 normal: spot.shading,

@@ -83,6 +83,12 @@ impl Surface {
         a + b * azimuth * spread
     }
 
+    /// Of a part of a mesh that stands for triangles of such materials, with their mean colour.
+    pub fn standing_for(self, own: &Mixed, color: Color) -> Surface {
+        let kd = (color * own.tint).as_vec3().to_array();
+        self.overlaid(&MaterialRecord { kd, given: own.record.given | given::KD, ..own.record }, None, None)
+    }
+
     /// Overlaid by a mesh's own material, at a point with these texture coordinates (if it has any).
     ///
     /// What the record does not give stays the scene's. `illum` 3 and higher mirrors with Ks, below it does not mirror.
@@ -121,6 +127,42 @@ impl Surface {
     }
 }
 
+/// What the materials of a mesh have in common but their diffuse colours, for parts of it that stand for triangles of several.
+#[derive(Clone, Copy, Debug)]
+pub struct Mixed {
+    /// What most of them give, the mean of those that do.
+    record: MaterialRecord,
+    /// The mean colour of their textures; white for those that have none.
+    tint: Color,
+}
+
+impl Mixed {
+    /// Of materials with their textures; `None` if there are none.
+    pub fn of(records: &[MaterialRecord], textures: &[Option<Texture>]) -> Option<Mixed> {
+        if records.is_empty() {
+            return None;
+        }
+        let count = |bit: u32| records.iter().filter(|r| r.given & bit != 0).count();
+        let mean = |bit: u32, of: &dyn Fn(&MaterialRecord) -> f32| {
+            let sum: f64 = records.iter().filter(|r| r.given & bit != 0).map(|r| f64::from(of(r))).sum();
+            (sum / count(bit).max(1) as f64) as f32
+        };
+        let mirrors = records.iter().filter(|r| r.given & given::ILLUM != 0 && r.illum >= 3).count();
+        let bits = [given::KA, given::KS, given::NS, given::ILLUM];
+        let record = MaterialRecord {
+            ka: std::array::from_fn(|i| mean(given::KA, &|r| r.ka[i])),
+            ks: std::array::from_fn(|i| mean(given::KS, &|r| r.ks[i])),
+            ns: mean(given::NS, &|r| r.ns),
+            illum: if 2 * mirrors > records.len() { 3 } else { 2 },
+            given: bits.into_iter().filter(|&bit| 2 * count(bit) > records.len()).sum(),
+            ..MaterialRecord::default()
+        };
+        let texel = |i: usize| textures.get(i).and_then(Option::as_ref).map_or(Color::ONE, Texture::mean);
+        let tint = (0..records.len()).map(texel).sum::<Color>() / records.len() as f64;
+        Some(Mixed { record, tint })
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -150,6 +192,31 @@ mod tests {
         assert_eq!(plain.overlaid(&ks, None, None).reflect, DVec3::new(0.5, 1.0, 0.0));
         let dull = MaterialRecord { illum: 2, ..ks };
         assert_eq!(plain.overlaid(&dull, None, None).reflect, DVec3::ZERO);
+    }
+
+    /// A surrogate of a mesh with one material looks as its triangles do.
+    #[test]
+    fn what_stands_for_triangles_has_their_material() {
+        let scene = Surface::from(&Material { reflect: 0.5, ..Material::default() });
+        let all = given::KA | given::KD | given::KS | given::NS | given::ILLUM;
+        let kd = [0.25, 0.5, 0.125];
+        let own =
+            MaterialRecord { ka: [0.5; 3], kd, ks: [0.75; 3], ns: 9.0, illum: 2, given: all, ..Default::default() };
+        let color = DVec3::from_array(kd.map(f64::from));
+        let stand_in = |records: &[MaterialRecord], textures: &[Option<Texture>]| {
+            scene.standing_for(&Mixed::of(records, textures).unwrap(), color)
+        };
+        assert_eq!(stand_in(&[own; 3], &[]), scene.overlaid(&own, None, None));
+        let map = || Texture::new(1, 1, vec![[0, 255, 51]], crate::scene::ToneMap::None);
+        let painted = scene.overlaid(&own, Some(&map()), Some([0.5, 0.5]));
+        let one = stand_in(&[own], &[Some(map())]);
+        assert!((one.diffuse - painted.diffuse).length() < 1e-6 && (one.ambient - painted.ambient).length() < 1e-6);
+        // What few give, the scene does.
+        let plain = MaterialRecord { kd, given: given::KD, ..Default::default() };
+        assert_eq!(stand_in(&[own, plain, plain], &[]), scene.overlaid(&plain, None, None));
+        let mirror = MaterialRecord { illum: 3, ..own };
+        assert_eq!(stand_in(&[own, mirror, mirror], &[]).reflect, DVec3::splat(0.75));
+        assert!(Mixed::of(&[], &[]).is_none());
     }
 
     #[test]

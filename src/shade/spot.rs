@@ -10,7 +10,6 @@ use super::ray::{Omit, WorldRay};
 use super::world::World;
 use crate::error::Result;
 use crate::exact;
-use crate::format::MaterialRecord;
 use crate::geometry::{FaceId, Triangle};
 use crate::trace::{Approximate, Found};
 
@@ -76,8 +75,9 @@ impl World {
         match (&object.kind, &contact.part) {
             (Kind::Mesh(placed), Part::Mesh(found)) => self.on_mesh(contact.object, placed, found, ray, surface),
             (Kind::Mesh(placed), Part::Surrogate(met)) => {
-                let own = placed.mtl && self.meshes[placed.mesh].materials() > 0;
-                Ok(on_surrogate(contact.object, placed, met, ray, (surface, own)))
+                let own = self.meshes[placed.mesh].mixed.as_ref().filter(|_| placed.mtl);
+                let surface = own.map_or(surface, |own| surface.standing_for(own, DVec3::from_array(met.color)));
+                Ok(on_surrogate(contact.object, placed, met, ray, surface))
             }
             (Kind::Facets(facets), Part::Facet(i, hit)) => {
                 let place = Place::of(contact.object, &facets.all()[*i as usize], FaceId(*i), [hit.u, hit.v]);
@@ -130,17 +130,10 @@ impl World {
     }
 }
 
-/// A place on a node that stands for its triangles, of the scene's surface or, if the mesh has one of its `own`, with the colour of that.
-fn on_surrogate(
-    object: u32,
-    placed: &Placed,
-    met: &Approximate,
-    ray: &WorldRay,
-    (surface, own): (Surface, bool),
-) -> Spot {
+/// A place on a node that stands for its triangles, of a surface that is made of facets as these are.
+fn on_surrogate(object: u32, placed: &Placed, met: &Approximate, ray: &WorldRay, surface: Surface) -> Spot {
     let normal = (placed.normals * DVec3::from_array(met.normal)).normalize_or(DVec3::Y);
     let front = ray.direction.dot(normal) < 0.0;
-    let record = MaterialRecord { kd: met.color.map(|c| c as f32), given: 2, ..Default::default() };
     let scale = placed.to_local.map_or(1.0, |m| 1.0 / least_scale(&m.matrix3));
     let spot = Spot {
         omit: Omit { object, face: FaceId::NONE },
@@ -148,7 +141,7 @@ fn on_surrogate(
         normal,
         shading: normal,
         front: true,
-        surface: if own { surface.overlaid(&record, None, None) } else { surface }.of_facets(met.agreement),
+        surface: surface.of_facets(met.agreement),
         anchor: Anchor::Surrogate { lift: met.deviation * scale, clear: met.reach * scale },
     };
     spot.seen(front)

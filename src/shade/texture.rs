@@ -60,6 +60,19 @@ impl Texture {
         Texture { width, height, texels, linear: std::array::from_fn(value) }
     }
 
+    /// The mean colour, linear: of at most 256 texels a side, evenly spread.
+    pub fn mean(&self) -> DVec3 {
+        let places = |size: usize| {
+            let count = size.min(256);
+            (0..count).map(move |i| i * size / count)
+        };
+        let texel = |(x, y): (usize, usize)| {
+            DVec3::from_array(self.texels[y * self.width + x].map(|byte| f64::from(self.linear[usize::from(byte)])))
+        };
+        let of_row = |y: usize| places(self.width).map(|x| texel((x, y))).sum::<DVec3>();
+        places(self.height).map(of_row).sum::<DVec3>() / (places(self.width).len() * places(self.height).len()) as f64
+    }
+
     /// The colour at (u, v), linear; black where a coordinate is not finite.
     pub fn at(&self, u: f64, v: f64) -> DVec3 {
         if !(u.is_finite() && v.is_finite()) {

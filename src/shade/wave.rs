@@ -343,7 +343,7 @@ impl World {
                     None => color += weight * self.scene.background,
                     Some(ahead) => {
                         counts.refracted += 1;
-                        waiting.push((s.meeting.onward(ahead.ray), about.then(weight, ahead.blocker)));
+                        waiting.push((s.meeting.refracted(ahead.ray), about.then(weight, ahead.blocker)));
                     }
                 }
             }
@@ -358,7 +358,7 @@ impl World {
                 // Before what was refracted here.
                 Some(ahead) => {
                     counts.mirror += 1;
-                    next.push(s.meeting.onward(ahead.ray), about.then(mirrored, ahead.blocker));
+                    next.push(s.meeting.mirrored(ahead.ray), about.then(mirrored, ahead.blocker));
                 }
             }
             *sum += about.weight * color;

@@ -3,7 +3,7 @@
 
 use glam::DVec3;
 
-use super::beam::Beam;
+use super::beam::{Beam, Bend};
 use super::leave::{Blocker, Departure, Path};
 use super::object::Contact;
 use super::ray::{Omit, Origin, WorldRay};
@@ -59,18 +59,33 @@ pub(super) struct Meeting {
     origin: Option<DVec3>,
     /// How wide the ray was here.
     beam: Beam,
+    /// How the surface is bent.
+    bend: Bend,
 }
 
 impl Meeting {
-    /// A ray that leaves from here, as wide as the one that came.
-    pub fn onward(&self, ray: WorldRay) -> WorldRay {
+    /// A ray that leaves from here, as wide as that.
+    fn onward(&self, ray: WorldRay, beam: Beam) -> WorldRay {
         let tmin = self.spot.clear().map_or(ray.tmin, |clear| (clear / ray.direction.length()) as f32);
-        WorldRay { tmin, beam: self.beam, ..ray }
+        WorldRay { tmin, beam, ..ray }
+    }
+
+    /// One that is mirrored.
+    pub fn mirrored(&self, ray: WorldRay) -> WorldRay {
+        self.onward(ray, self.beam.mirrored(self.bend))
+    }
+
+    /// One that is refracted.
+    pub fn refracted(&self, ray: WorldRay) -> WorldRay {
+        let Spot { ref surface, front, normal, .. } = self.spot;
+        let eta = if front { 1.0 / surface.ior } else { surface.ior };
+        let cosines = [self.incoming, ray.direction.normalize_or_zero()].map(|d| -d.dot(normal));
+        self.onward(ray, self.beam.refracted(self.bend, eta, cosines))
     }
 
     /// One toward a light, which does not widen.
     pub fn lightward(&self, ray: WorldRay) -> WorldRay {
-        WorldRay { beam: self.beam.to_light(), ..self.onward(ray) }
+        self.onward(ray, self.beam.to_light())
     }
 
     /// The free space on the side from which the ray came (`near`), or behind the surface.
@@ -115,6 +130,7 @@ impl World {
             reach,
             origin: Some(ray.origin),
             beam: Beam::at(ray, contact),
+            bend: self.bend(&spot),
         })
     }
 
@@ -127,7 +143,7 @@ impl World {
         let against = -segment.direction.normalize_or_zero();
         let incoming = if incoming.dot(spot.normal) < 0.0 { incoming } else { against };
         let reach = f64::from(segment.tmax - contact.t).max(0.0) * segment.direction.length();
-        Ok(Meeting { spot, incoming, reach, origin: None, beam: ray.beam })
+        Ok(Meeting { spot, incoming, reach, origin: None, beam: ray.beam, bend: Bend::Gathering })
     }
 
     /// The diffuse and specular light that `light` gives if nothing lies between; zero for one behind the surface.
@@ -157,7 +173,7 @@ impl World {
     /// Whether nothing stands before a point light, where something stands at its very end or before.
     #[cold]
     pub(super) fn reaches_past(&self, ray: &WorldRay, omit: Omit, light: DVec3) -> Result<bool> {
-        if self.any(&ray.between(0.0, AT_LIGHT[0]), omit)? {
+        if self.any(&ray.between(ray.tmin, AT_LIGHT[0]), omit)? {
             return Ok(false);
         }
         // What lies near the end is in the way if it lies before the light; not if the light lies on it.

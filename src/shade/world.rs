@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::material::Surface;
+use super::material::{Mixed, Surface};
 use super::object::{Contact, Kind, Object, Part, above};
 use super::quadric::Flat;
 use super::ray::{Omit, WorldRay};
@@ -48,6 +48,8 @@ pub struct Mesh {
     octree: Option<Arc<Octree>>,
     /// Most error of surrogates, in pixels; `None`: exact.
     pub(super) pixels: Option<f64>,
+    /// What its surrogates look like, if it has materials of its own; only with level of detail.
+    pub(super) mixed: Option<Mixed>,
     /// Textures by material record.
     textures: Vec<Option<Texture>>,
 }
@@ -66,7 +68,7 @@ impl World {
                 Box::new(LinearTracer::new(&octree)?)
             };
             let textures = if with_textures(i) { textures(&octree, scene.tonemap, monitor) } else { Vec::new() };
-            Ok(Mesh { tracer, octree: Some(octree), pixels: None, textures })
+            Ok(Mesh { tracer, octree: Some(octree), pixels: None, mixed: None, textures })
         };
         let meshes = meshes.into_iter().enumerate().map(mesh).collect::<Result<Vec<_>>>()?;
         World::with_meshes(scene, meshes)
@@ -114,6 +116,7 @@ impl World {
                 let what = "has no level of detail; build it again with this octbuild, without --no-lod".into();
                 return Err(Error::Input { file: octree.path().to_owned(), what });
             }
+            mesh.mixed = octree.and_then(|octree| Mixed::of(octree.materials(), &mesh.textures));
             mesh.pixels = octree.map(|_| pixels);
         }
         Ok(self)
@@ -279,7 +282,7 @@ impl World {
 impl Mesh {
     /// A mesh without attributes.
     pub fn bare(tracer: Box<dyn Tracer>) -> Mesh {
-        Mesh { tracer, octree: None, pixels: None, textures: Vec::new() }
+        Mesh { tracer, octree: None, pixels: None, mixed: None, textures: Vec::new() }
     }
 
     /// What a ray meets first; with level of detail, if it has a width.

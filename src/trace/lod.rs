@@ -9,9 +9,9 @@
 //!    has a point within that distance of p; and if the ray hits a triangle of the node, that hit is within that distance too.
 //! 2. **The slab.** The ray comes as near to the plane, within the box, as the surrogate's deviation. If it does not, it hits nothing of
 //!    the node for certain, and passes.
-//! 3. **A surface.** The triangles fill enough of the box as the ray sees it ([`LEAST_COVERAGE`]), and their normals agree enough for a mean
-//!    to mean something ([`LEAST_AGREEMENT`]). Sparse nodes, silhouettes and crumpled ones are entered until the error is at most a quarter
-//!    of what is allowed ([`FINE`]): there they are taken as well.
+//! 3. **A surface.** The triangles fill enough of the box as the ray sees it, and their normals agree enough for a mean
+//!    to mean something (`wide`). Sparse nodes, silhouettes and crumpled ones are entered until the error is at most half
+//!    of what is allowed: there they are taken as well.
 //!
 //! A leaf, which has no surrogate of its own, is judged by its own box and its parent's surrogate: what that says of all triangles below the
 //! parent is true of the leaf's.
@@ -20,36 +20,32 @@
 //! surfaces only grow, by that at most. The answer is the least t of all surrogates that were taken and all triangles in the nodes that were entered,
 //! and whether a node is taken depends on the ray and the node alone: so answers depend neither on the order of visits nor on the kernel.
 //!
-//! A ray that starts from a surrogate has its least t beyond the error of its start, where nothing is known, and passes what it
-//! crosses before that. The uppermost nodes of a brick are walked in its head ([`crate::format::HeadView`]): a page is used only where a ray goes below.
+//! That is so of rays from the eye, and of those that start on a triangle: these see the nodes around their start down to the triangles. A ray that starts
+//! from a surrogate has its least t beyond the error of its start, where nothing is known; it passes nodes that it is in there and whose
+//! plane it has crossed before, and farther on those surfaces whose plane, drawn out, it has crossed before: bumps of a surface above which it
+//! has started may be lost to it, up to the error that is allowed, and what is nearer than three times that.
+//!
+//! The uppermost nodes of a brick are walked in its head ([`crate::format::HeadView`]): a page is used only where a ray goes below.
 //!
 //! The walk is that of `walk.rs`, one ray after the other, with boxes and planes in f64 beside it.
 
-use bytemuck::Zeroable;
-use glam::DVec3;
+mod place;
+mod wide;
 
-use super::arch::{Cell, Job, Kernel, Saved};
+use bytemuck::Zeroable;
+
+use super::arch::{Job, Kernel, Saved};
 use super::ask::{Leaves, Pause};
 use super::collect::{Collector, Next};
 use super::setup::{Scene, Setup};
 use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Sight, View, cell_of};
 use super::{Counters, Found};
 use crate::exact::Depths;
-use crate::format::{Frame, HeadView, Node, PageId, Patch, RootBox, Surrogate};
+use crate::format::{Frame, PageId, RootBox};
 use crate::geometry::Ray;
-use crate::map::{Detail, Halt, Octree, Visit};
-
-/// How much of a box, as the ray sees it, triangles must fill for their surrogate to be taken: where all of them face the ray alike, and
-/// where some may not (a silhouette).
-const LEAST_COVERAGE: [f64; 2] = [0.25, 0.4];
-/// How long the mean of the unit normals must be.
-const LEAST_AGREEMENT: f64 = 0.35;
-/// The part of the allowed error up to which a node need not look like a surface.
-const FINE: f64 = 0.25;
-/// Rounding of a point of a ray in root units, by its distance from the root.
-const ROUNDING: f64 = 1.0 / (1u64 << 48) as f64;
-/// Rays from farther away, in root sizes, are traced exactly: f64 would not tell on which side of a plane they pass.
-const FAR: f64 = 4096.0;
+use crate::map::{Detail, Halt, Visit};
+use place::{At, Child, bounds_of, page_index, root};
+use wide::{Verdict, Wide};
 
 /// How wide a ray is: at its parameter t, `width + spread * t`, in the units of the mesh.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -58,7 +54,7 @@ pub struct Footprint {
     pub width: f64,
     /// For each unit of t.
     pub spread: f64,
-    /// Whether the ray starts from a surrogate: then what it crosses before its least t is passed, for it may be the start itself.
+    /// Whether the ray starts from a surrogate: then what it crosses before its least t is passed, for that may be the start itself.
     pub lifted: bool,
 }
 
@@ -129,16 +125,6 @@ pub(super) struct Held<R> {
     best: Option<Approximate>,
 }
 
-/// Where a node is.
-#[derive(Clone, Copy)]
-enum At<'a> {
-    Top(u32),
-    /// A node of a brick's head.
-    Head(PageId, HeadView<'a>, u32),
-    /// A node of a page.
-    Page(View<'a>, u32),
-}
-
 /// A node put aside, with slots left to visit.
 #[derive(Clone, Copy)]
 struct Level<'a> {
@@ -146,14 +132,6 @@ struct Level<'a> {
     at: At<'a>,
     frame: Frame,
     left: u32,
-}
-
-/// What to do about a node.
-enum Verdict {
-    /// The ray hits nothing of it.
-    Pass,
-    Enter,
-    Take(Approximate),
 }
 
 impl<A: Pause, G: FnMut(usize, A::Answer, Option<Approximate>)> Job for Coarse<'_, '_, A, G, A::Rest>
@@ -325,195 +303,5 @@ impl<'a, A: Pause, G> Coarse<'a, '_, A, G, A::Rest> {
         self.held.under_way = Some(brick);
         self.counters.bricks += 1;
         Ok(view)
-    }
-}
-
-/// A child: a node that is at hand, one of a page that was not needed so far, or a leaf.
-enum Child<'a> {
-    At(At<'a>),
-    Below(PageId, u32),
-    Leaf,
-}
-
-impl<'a> Child<'a> {
-    /// Its surrogate; `parent` is the node that names it by rank. Leaves have none: their parent's is true of them too.
-    #[inline(always)]
-    fn surrogate(&self, parent: &At<'a>, detail: &Detail<'a>, rank: u32) -> Option<&'a Surrogate> {
-        match (self, parent) {
-            (Child::Leaf, At::Head(_, head, 0)) => head.root(),
-            (Child::Leaf, At::Head(_, head, i)) => head.child(0, *i as u8 - 1),
-            (Child::Leaf, At::Page(view, index)) => view.page?.surrogates().get(*index as usize),
-            (Child::At(At::Top(node)), _) => detail.top(*node),
-            (Child::At(At::Head(_, head, 0)), At::Top(_)) => head.root(),
-            (_, At::Head(_, head, i)) => head.child(*i as usize, rank as u8 & 7),
-            (Child::At(At::Page(view, index)), _) => view.page?.surrogates().get(*index as usize),
-            _ => None,
-        }
-    }
-}
-
-impl<'a> At<'a> {
-    /// The node itself; an empty one where a file was cut short.
-    #[inline(always)]
-    fn node(&self, octree: &'a Octree) -> &'a Node {
-        match self {
-            At::Top(i) => octree.top_nodes().get(*i as usize).unwrap_or(&Node::EMPTY),
-            At::Head(_, head, i) => head.node(*i as usize),
-            At::Page(view, i) => view.node(*i),
-        }
-    }
-
-    /// Its inner child of that rank.
-    #[inline(always)]
-    fn child(&self, node: &Node, rank: u32) -> Child<'a> {
-        let below = |i: u32| i.wrapping_add(node.first_child).wrapping_add(rank);
-        match *self {
-            At::Top(i) => Child::At(At::Top(below(i))),
-            At::Head(brick, head, 0) => Child::At(At::Head(brick, head, 1 + rank)),
-            At::Head(brick, head, i) => Child::Below(brick, below(page_index(&head, i))),
-            At::Page(view, i) => Child::At(At::Page(view, below(i))),
-        }
-    }
-}
-
-/// The number that node `i` of a head has in its page.
-fn page_index(head: &HeadView<'_>, i: u32) -> u32 {
-    if i == 0 { 0 } else { head.node(0).first_child.wrapping_add(i - 1) }
-}
-
-/// The root of a file: where it is, its frame, and its surrogate.
-fn root<'a>(octree: &'a Octree, detail: &Detail<'a>) -> Option<(At<'a>, Frame, Cell, Option<&'a Surrogate>)> {
-    if !octree.top_nodes().is_empty() {
-        let cell = Cell { corner: [0.0; 3], unit: [1.0 / 256.0; 3] };
-        return Some((At::Top(0), Frame::ROOT, cell, detail.top(0)));
-    }
-    let (brick, head) = (octree.bricks().first()?, detail.head(PageId(0))?);
-    let cell = cell_of(brick);
-    let frame = Frame { corner: cell.corner.map(f64::from), unit: cell.unit.map(f64::from) };
-    Some((At::Head(PageId(0), head, 0), frame, cell, head.root()))
-}
-
-/// The box around all triangles in root units.
-fn bounds_of(octree: &Octree) -> RootBox {
-    let (root, bounds) = (octree.root(), octree.bounds());
-    RootBox { low: root.to_root_units(bounds.min), high: root.to_root_units(bounds.max) }
-}
-
-/// A ray with a width, in root units.
-struct Wide {
-    o: DVec3,
-    /// For each unit of t.
-    d: DVec3,
-    inv: DVec3,
-    tmin: f64,
-    tmax: f64,
-    /// More than rounding can move a point of the ray.
-    pad: f64,
-    width: f64,
-    spread: f64,
-    lifted: bool,
-    pixels: f64,
-    /// The side of the root cube.
-    side: f64,
-}
-
-impl Wide {
-    fn new(ray: &Ray, footprint: &Footprint, pixels: f64, octree: &Octree) -> Wide {
-        let root = octree.root();
-        let side = root.side();
-        let o = (DVec3::from_array(ray.origin.map(f64::from)) - root.corner) / side;
-        let d = DVec3::from_array(ray.direction.map(f64::from)) / side;
-        let distance = o.abs().max_element();
-        let near = distance <= FAR;
-        Wide {
-            o,
-            d,
-            inv: d.recip(),
-            tmin: ray.tmin.into(),
-            tmax: ray.tmax.into(),
-            pad: ROUNDING * (distance + 2.0),
-            width: if near { footprint.width / side } else { 0.0 },
-            spread: if near { footprint.spread / side } else { 0.0 },
-            lifted: footprint.lifted,
-            pixels,
-            side,
-        }
-    }
-
-    /// What to do about a node with this surrogate, frame and box.
-    #[inline(always)]
-    fn judge(&self, surrogate: Option<&Surrogate>, frame: &Frame, bounds: &RootBox) -> Verdict {
-        let Some([t0, t1]) = self.within(bounds) else { return Verdict::Pass };
-        let width = self.width + self.spread * t0.max(0.0);
-        let allowed = (self.pixels * width) * (self.pixels * width);
-        // No point of a box is nearer to the corner farthest from it than half of its diagonal.
-        if !(bounds.high - bounds.low).length_squared().le(&(4.0 * allowed)) || width <= 0.0 {
-            return Verdict::Enter;
-        }
-        let Some(patch) = surrogate.map(|surrogate| surrogate.patch(frame)) else { return Verdict::Enter };
-        let Some((t, crossed)) = self.meet(&patch, [t0, t1]) else { return Verdict::Pass };
-        if crossed < self.tmin {
-            return if self.lifted { Verdict::Pass } else { Verdict::Enter };
-        }
-        let farthest = bounds.farthest_squared(self.o + t * self.d);
-        if farthest > allowed || (farthest > allowed * (FINE * FINE) && !self.is_surface(&patch, bounds)) {
-            return Verdict::Enter;
-        }
-        let reach = farthest.sqrt();
-        Verdict::Take(Approximate {
-            t: (t as f32).clamp(self.tmin as f32, self.tmax as f32),
-            normal: patch.normal.to_array(),
-            color: patch.color,
-            agreement: patch.agreement.max(1.0 / 256.0),
-            deviation: patch.deviation * self.side,
-            reach: reach * self.side,
-            error: reach / width,
-        })
-    }
-
-    /// The parameters between which the ray is in a box.
-    #[inline(always)]
-    fn within(&self, bounds: &RootBox) -> Option<[f64; 2]> {
-        let (mut t0, mut t1) = (self.tmin, self.tmax);
-        for axis in 0..3 {
-            let (low, high) = (bounds.low[axis] - self.pad - self.o[axis], bounds.high[axis] + self.pad - self.o[axis]);
-            if self.d[axis] == 0.0 {
-                if low > 0.0 || high < 0.0 {
-                    return None;
-                }
-                continue;
-            }
-            let (a, b) = (low * self.inv[axis], high * self.inv[axis]);
-            (t0, t1) = (t0.max(a.min(b)), t1.min(a.max(b)));
-        }
-        (t0 <= t1).then_some([t0, t1])
-    }
-
-    /// Where the ray meets a patch, if it comes near it between two parameters, and where it crosses its plane.
-    #[inline(always)]
-    fn meet(&self, patch: &Patch, [t0, t1]: [f64; 2]) -> Option<(f64, f64)> {
-        let (rate, height) = (patch.normal.dot(self.d), patch.normal.dot(self.o) - patch.offset);
-        let e = patch.deviation + 2.0 * self.pad;
-        if rate == 0.0 {
-            return (height.abs() <= e).then_some((t0, t0));
-        }
-        let crossed = -height / rate;
-        let half = e / rate.abs();
-        let (s0, s1) = (t0.max(crossed - half), t1.min(crossed + half));
-        (s0 <= s1).then(|| (crossed.clamp(s0, s1), crossed))
-    }
-
-    /// Whether a node looks like a surface to this ray.
-    #[inline(always)]
-    fn is_surface(&self, patch: &Patch, bounds: &RootBox) -> bool {
-        let (d, faces) = (self.d.abs(), bounds.faces());
-        let seen = DVec3::from_array(patch.coverage) * faces;
-        // The area that the ray sees of triangles that face all ways; and of such as face one.
-        let scattered = d.dot(seen);
-        let aligned = (self.d * patch.normal.signum()).dot(seen).abs();
-        let coverage = aligned.max(scattered * (1.0 - patch.agreement)) / d.dot(faces);
-        let facing = patch.normal.dot(self.d).abs() / self.d.length();
-        let silhouette = patch.cone <= 0.0 || facing * facing < 1.0 - patch.cone * patch.cone;
-        patch.agreement >= LEAST_AGREEMENT && coverage >= LEAST_COVERAGE[usize::from(silhouette)]
     }
 }

@@ -239,3 +239,29 @@ fn statistics_may_go_to_dev_stdout_even_if_that_is_a_file() {
     let text = lab.text("log.txt");
     assert!(text.starts_with("before\n{") && text.contains("\"triangles\": 2"), "{text}");
 }
+
+#[test]
+fn a_map_is_drawn() {
+    let lab = Lab::with_ball();
+    assert!(lab.done("octinfo", &["ball.oct", "--map", "ball.png"]).is_empty());
+    let picture = image::load_from_memory(&lab.read("ball.png")).unwrap().into_rgb8();
+    assert_eq!(picture.dimensions(), (2400, 1600));
+    assert!(picture.pixels().any(|p| p.0 != [255; 3]));
+    // With --json the numbers come too.
+    let json: serde_json::Value =
+        serde_json::from_slice(&lab.done("octinfo", &["ball.oct", "--map", "ball.SVG", "--json"])).unwrap();
+    assert_eq!(json["triangles"], 528);
+    assert!(lab.text("ball.SVG").contains("528 triangles"));
+    let error = lab.fails(2, "octinfo", &["ball.oct", "--map", "ball.gif"]);
+    assert!(error.contains("ball.gif") && error.contains(".png"), "{error}");
+    lab.write("model.png", lab.read("ball.oct"));
+    let error = lab.fails(2, "octinfo", &["model.png", "--map", "./model.png"]);
+    assert!(error.contains("write over"), "{error}");
+    assert!(lab.read("model.png") == lab.read("ball.oct"));
+    // A damaged page ends it, and leaves nothing behind.
+    let mut bytes = lab.read("ball.oct");
+    bytes[4096 + 200] ^= 1;
+    lab.write("bad.oct", &bytes);
+    lab.fails(3, "octinfo", &["bad.oct", "--map", "bad.png"]);
+    assert!(!lab.files().iter().any(|name| name.contains("bad.png")), "{:?}", lab.files());
+}

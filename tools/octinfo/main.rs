@@ -3,6 +3,7 @@
 #[path = "../cli/mod.rs"]
 mod cli;
 mod extract;
+mod map;
 mod report;
 
 use std::path::PathBuf;
@@ -42,6 +43,9 @@ struct Args {
     /// `-` is standard output. Materials go to an MTL file beside it.
     #[arg(short, long, value_name = "PART.obj", requires = "extract", help_heading = "Extract")]
     output: Option<PathBuf>,
+    /// Draw a map of the file: what lies on each level of its tree, how full pages and leaves are, what its bytes are for; .png or .svg
+    #[arg(long, value_name = "FILE.png")]
+    map: Option<PathBuf>,
     #[command(flatten)]
     common: Common,
 }
@@ -51,6 +55,7 @@ Examples:
   octinfo bunny.oct                                   counts, bytes by part, bounds, options
   octinfo --json bunny.oct                            the same for programs
   octinfo --verify bunny.oct                          check all of it: exit code 0, or 3 if it is damaged
+  octinfo bunny.oct --map bunny.png                   where its bytes lie and how full it is, as a picture
   octinfo bunny.oct --extract all -o bunny.obj        the whole mesh again
   octinfo city.oct --extract 0,0,0,100,100,50 -o block.obj
                                                       the triangles that touch a box, in the file's frame
@@ -74,6 +79,12 @@ fn tell(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if let Some(output) = args.output.as_deref().filter(|_| !to_stdout) {
         extract::check(&args.model, output)?;
     }
+    if let Some(path) = &args.map {
+        map::check(&args.model, path)?;
+        if args.output.as_deref().is_some_and(|output| cli::output::same_place(output, path)) {
+            return Err(Error::Option(format!("{}: --map and -o would both write it", path.display())));
+        }
+    }
     let octree = Octree::open(&args.model)?;
     if args.verify {
         octree.verify(session.monitor())?;
@@ -86,7 +97,11 @@ fn tell(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         let (triangles, vertices) = (HumanCount(taken.triangles), HumanCount(taken.vertices));
         session.say(format!("{}: {triangles} triangles, {vertices} vertices", output.display()));
     }
-    if args.json || taken.is_none() {
+    if let Some(path) = &args.map {
+        map::write(&octree, path, session.monitor())?;
+        session.say(format!("{}: a map of {}", path.display(), args.model.display()));
+    }
+    if args.json || (taken.is_none() && args.map.is_none()) {
         let report = Report::new(&octree, args.verify, session.monitor())?;
         session.finish();
         cli::output::print(&if args.json { report.json()? } else { report.table() })?;
