@@ -77,8 +77,9 @@ fn view(mut stream: TcpStream) -> (String, [u32; 2], Vec<[f32; 3]>, Vec<u32>) {
         assert_eq!(update.byte(), 6, "then updated");
         update.byte();
         assert_eq!((update.text(), update.u32()), (name.clone(), 3));
+        let channels: Vec<String> = (0..3).map(|_| update.text()).collect();
         let axes: Vec<usize> =
-            (0..3).map(|_| ["R", "G", "B"].iter().position(|c| *c == update.text()).unwrap()).collect();
+            channels.iter().map(|name| ["R", "G", "B"].iter().position(|c| c == name).unwrap()).collect();
         let [x, y, w, h] = [update.u32(), update.u32(), update.u32(), update.u32()];
         let offsets: Vec<u64> = (0..3).map(|_| update.u64()).collect();
         let strides: Vec<u64> = (0..3).map(|_| update.u64()).collect();

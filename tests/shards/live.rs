@@ -24,11 +24,11 @@ fn until<T>(what: &str, mut there: impl FnMut() -> Option<T>) -> T {
 #[test]
 fn a_preview_shows_what_is_done_and_gives_way_to_the_picture() {
     let lab = lab();
-    let slow = ["scene.txt", "-q", "-o", "a.png", "--size", "1024x1024", "--samples", "16", "--threads", "1"];
+    let slow = ["scene.txt", "-q", "-o", "a.png", "--size", "512x512", "--samples", "4", "--threads", "1"];
     let mut child = lab.command("octrender", &[&slow[..], &["--preview", "0.1"]].concat()).spawn().unwrap();
     let black = |bytes: &[u8]| {
         let image = image::load_from_memory(bytes).unwrap().to_rgb8();
-        assert_eq!(image.dimensions(), (1024, 1024));
+        assert_eq!(image.dimensions(), (512, 512));
         image.pixels().filter(|pixel| pixel.0 == [0; 3]).count()
     };
     // Whole files, which fill up.

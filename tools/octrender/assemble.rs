@@ -15,22 +15,19 @@ const NAMED: usize = 20;
 
 /// Puts parts together and writes the picture; nothing is written unless all of it is there.
 pub fn assemble(paths: &[PathBuf], output: Option<&Path>, session: &Session<'_>) -> Result<()> {
-    let place = match output {
-        Some(path) if cli::args::is_stdio(path) => Place::Stdout,
-        Some(path) => Place::choose(Some(path), None, path)?,
-        None => return Err(Error::Option("--assemble needs -o IMAGE".into())),
+    let (Some(output), Some(first)) = (output, paths.first()) else {
+        return Err(Error::Option("--assemble needs parts, and -o IMAGE".into()));
     };
-    if let Place::File(path) = &place
-        && let Some(part) = paths.iter().find(|part| cli::output::same_place(part, path))
-    {
+    if let Some(part) = paths.iter().find(|part| cli::output::same_place(part, output)) {
         return Err(Error::Option(format!("{}: the picture would be written over a part", part.display())));
     }
+    let place = Place::choose(Some(output), None, first)?;
     let monitor = session.monitor();
     monitor.phase("check");
     let parts = paths.iter().map(|path| Part::open(path)).collect::<Result<Vec<_>>>()?;
-    let Some(first) = parts.first() else { return Err(Error::Option("--assemble needs parts".into())) };
-    whole(first, &parts)?;
-    let [width, height] = first.identity.size();
+    // As many as there are paths, of which there is one.
+    let identity = whole(&parts[0], &parts)?;
+    let ([width, height], tonemap) = (identity.size(), identity.tonemap);
     let mut film = Film::new(width, height)?;
     monitor.phase("assemble");
     for (done, part) in (1..).zip(&parts) {
@@ -39,7 +36,6 @@ pub fn assemble(paths: &[PathBuf], output: Option<&Path>, session: &Session<'_>)
         monitor.progress(done, Some(parts.len() as u64), "parts");
     }
     monitor.phase("write");
-    let tonemap = first.identity.tonemap;
     match &place {
         Place::Stdout => cli::output::print_bytes(&output::encode(&film, Format::PNG, tonemap)?)?,
         Place::File(path) => output::save(&film, path, tonemap)?,
@@ -48,8 +44,8 @@ pub fn assemble(paths: &[PathBuf], output: Option<&Path>, session: &Session<'_>)
     Ok(())
 }
 
-/// Fails unless these are all the parts of one picture, each once; says which are missing, doubled, or of another picture.
-fn whole(first: &Part, parts: &[Part]) -> Result<()> {
+/// What picture these parts are of. Fails unless they are all of its parts, each once; says which are missing, doubled, or of another.
+fn whole<'a>(first: &'a Part, parts: &[Part]) -> Result<&'a Identity> {
     let mut wrong = Vec::new();
     for part in parts {
         if let Some(what) = difference(first, part) {
@@ -74,7 +70,7 @@ fn whole(first: &Part, parts: &[Part]) -> Result<()> {
             wrong.push(format!("{count} of {of} shares are missing: {list}; make them with --shard I/{of}"));
         }
     }
-    if wrong.is_empty() { Ok(()) } else { Err(Error::Option(few_lines(wrong))) }
+    if wrong.is_empty() { Ok(&first.identity) } else { Err(Error::Option(few_lines(wrong))) }
 }
 
 /// How two parts differ in what all parts of a picture have in common.
