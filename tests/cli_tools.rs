@@ -2,8 +2,12 @@
 
 #[path = "cli_tools/build.rs"]
 mod build;
+#[path = "cli_tools/examples.rs"]
+mod examples;
 #[path = "cli_tools/info.rs"]
 mod info;
+#[path = "cli_tools/manual.rs"]
+mod manual;
 #[path = "cli_tools/render.rs"]
 mod render;
 #[path = "cli_tools/support.rs"]

@@ -85,28 +85,24 @@ impl<'a, C: Collector<'a>> Leaves<'a> for C {
     }
 }
 
-/// The closest hit, after `last` if that is given.
-pub(super) struct Least<'f> {
-    pub skip: Skip,
-    pub last: Option<&'f Found>,
+/// The closest hits, each ray leaving out its own of `skips` (the rays beyond them nothing), after `last` if that is given.
+pub(super) struct Least<'s> {
+    pub skips: &'s [Skip],
+    pub last: Option<&'s Found>,
 }
 
 impl Ask for Least<'_> {
     type Collector<'a> = Closest<'a>;
     type Answer = Option<Found>;
     const NOTHING: Option<Found> = None;
+    const FIRST: bool = false;
 
     #[inline(always)]
-    fn begin(&self, _: usize, ray: &Ray, closest: &mut Closest<'_>) {
-        closest.begin(self.skip);
+    fn begin(&self, i: usize, ray: &Ray, closest: &mut Closest<'_>) {
+        closest.begin(self.skip(i));
         if let Some(last) = self.last {
             closest.begin_after(&Line::new(ray), last);
         }
-    }
-
-    #[inline(always)]
-    fn answer(found: Found) -> Option<Found> {
-        Some(found)
     }
 
     #[inline(always)]
@@ -114,11 +110,14 @@ impl Ask for Least<'_> {
         Closest::new(Skip::NONE)
     }
 
-    const FIRST: bool = false;
+    #[inline(always)]
+    fn skip(&self, i: usize) -> Skip {
+        self.skips.get(i).copied().unwrap_or(Skip::NONE)
+    }
 
     #[inline(always)]
-    fn skip(&self, _: usize) -> Skip {
-        self.skip
+    fn answer(found: Found) -> Option<Found> {
+        Some(found)
     }
 
     #[inline(always)]
@@ -169,45 +168,10 @@ impl Ask for LeastHit {
     }
 }
 
-/// The closest hits, each ray leaving out its own.
-pub(super) struct LeastOfEach<'s>(pub &'s [Skip]);
+/// Whether anything is hit, each ray leaving out its own of these (the rays beyond them nothing).
+pub(super) struct Whether<'s>(pub &'s [Skip]);
 
-impl Ask for LeastOfEach<'_> {
-    type Collector<'a> = Closest<'a>;
-    type Answer = Option<Found>;
-    const NOTHING: Option<Found> = None;
-    const FIRST: bool = false;
-
-    #[inline(always)]
-    fn begin(&self, i: usize, _: &Ray, closest: &mut Closest<'_>) {
-        closest.begin(self.skip(i));
-    }
-
-    #[inline(always)]
-    fn idle<'a>() -> Closest<'a> {
-        Closest::new(Skip::NONE)
-    }
-
-    #[inline(always)]
-    fn skip(&self, i: usize) -> Skip {
-        self.0.get(i).copied().unwrap_or(Skip::NONE)
-    }
-
-    #[inline(always)]
-    fn answer(found: Found) -> Option<Found> {
-        Some(found)
-    }
-
-    #[inline(always)]
-    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], give: impl FnMut(usize, Option<Found>)) {
-        Least::end(kernel, rays, collectors, give);
-    }
-}
-
-/// Whether anything is hit, each ray leaving out its own.
-pub(super) struct WhetherEach<'s>(pub &'s [Skip]);
-
-impl Ask for WhetherEach<'_> {
+impl Ask for Whether<'_> {
     type Collector<'a> = Any<'a>;
     type Answer = bool;
     const NOTHING: bool = false;
@@ -234,42 +198,6 @@ impl Ask for WhetherEach<'_> {
     }
 
     #[inline(always)]
-    fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Any<'_>], give: impl FnMut(usize, bool)) {
-        Whether::end(kernel, rays, collectors, give);
-    }
-}
-
-/// Whether anything is hit.
-pub(super) struct Whether(pub Skip);
-
-impl Ask for Whether {
-    type Collector<'a> = Any<'a>;
-    type Answer = bool;
-    const NOTHING: bool = false;
-
-    #[inline(always)]
-    fn begin(&self, _: usize, _: &Ray, any: &mut Any<'_>) {
-        *any = Any::new(self.0);
-    }
-
-    #[inline(always)]
-    fn answer(_: Found) -> bool {
-        true
-    }
-
-    #[inline(always)]
-    fn idle<'a>() -> Any<'a> {
-        Any::new(Skip::NONE)
-    }
-
-    const FIRST: bool = true;
-
-    #[inline(always)]
-    fn skip(&self, _: usize) -> Skip {
-        self.0
-    }
-
-    #[inline(always)]
     fn end<K: Kernel>(_: K, _: &[Ray], collectors: &[Any<'_>], mut give: impl FnMut(usize, bool)) {
         for (i, collector) in collectors.iter().enumerate() {
             give(i, collector.found);
@@ -277,28 +205,34 @@ impl Ask for Whether {
     }
 }
 
-/// How asks for the closest hit, and for any, are put aside.
-macro_rules! pause {
-    ($($closest:ty),*; $($any:ty),*) => {
-        $(impl Pause for $closest {
-            type Rest = Rest;
+impl Pause for Least<'_> {
+    type Rest = Rest;
 
-            fn rest(closest: &Closest<'_>, ray: &Ray) -> Rest {
-                closest.rest(ray)
-            }
+    fn rest(closest: &Closest<'_>, ray: &Ray) -> Rest {
+        closest.rest(ray)
+    }
 
-            fn resume(rest: Rest, closest: &mut Closest<'_>) {
-                closest.resume(rest);
-            }
-        })*
-        $(impl Pause for $any {
-            type Rest = ();
-
-            fn rest(_: &Any<'_>, _: &Ray) {}
-
-            fn resume(_: (), _: &mut Any<'_>) {}
-        })*
-    };
+    fn resume(rest: Rest, closest: &mut Closest<'_>) {
+        closest.resume(rest);
+    }
 }
 
-pause!(Least<'_>, LeastHit, LeastOfEach<'_>; Whether, WhetherEach<'_>);
+impl Pause for LeastHit {
+    type Rest = Rest;
+
+    fn rest(closest: &Closest<'_>, ray: &Ray) -> Rest {
+        closest.rest(ray)
+    }
+
+    fn resume(rest: Rest, closest: &mut Closest<'_>) {
+        closest.resume(rest);
+    }
+}
+
+impl Pause for Whether<'_> {
+    type Rest = ();
+
+    fn rest(_: &Any<'_>, _: &Ray) {}
+
+    fn resume(_: (), _: &mut Any<'_>) {}
+}

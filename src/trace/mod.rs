@@ -97,7 +97,7 @@ pub trait Tracer: Send + Sync {
         found: &mut [Option<Found>],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == found.len(), "a skip and an answer a ray");
+        a_ray_each(rays, skips, found);
         for ((ray, skip), found) in rays.iter().zip(skips).zip(found) {
             *found = self.closest_counted(ray, *skip, counters)?;
         }
@@ -110,7 +110,7 @@ pub trait Tracer: Send + Sync {
     /// # Panics
     /// If the slices differ in length.
     fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        a_ray_each(rays, skips, blocked);
         for ((ray, skip), blocked) in rays.iter().zip(skips).zip(blocked) {
             *blocked = self.any_counted(ray, *skip, counters)?;
         }
@@ -139,10 +139,8 @@ pub trait Tracer: Send + Sync {
         met: &mut [Met],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(
-            rays.len() == footprints.len() && rays.len() == met.len() && pixels > 0.0,
-            "a width and an answer a ray"
-        );
+        a_ray_each(rays, footprints, met);
+        a_width_each(rays, footprints, pixels);
         for (ray, met) in rays.iter().zip(met) {
             *met = self.closest_counted(ray, Skip::NONE, counters)?.map_or(Met::Nothing, Met::Triangle);
         }
@@ -162,7 +160,7 @@ pub trait Tracer: Send + Sync {
         blocked: &mut [bool],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(footprints.len() == rays.len() && pixels > 0.0, "a width a ray");
+        a_width_each(rays, footprints, pixels);
         self.any_each(rays, skips, blocked, counters)
     }
 
@@ -191,6 +189,18 @@ pub trait Tracer: Send + Sync {
             Ok(())
         })
     }
+}
+
+/// Panics if there is not one of each for a ray: what is given with it, and a place for its answer.
+fn a_ray_each<G, A>(rays: &[Ray], given: &[G], answers: &[A]) {
+    assert_eq!(rays.len(), given.len(), "one of what is given for each ray");
+    assert_eq!(rays.len(), answers.len(), "one answer a ray");
+}
+
+/// Panics if there is not a width a ray, or nothing that a width may be measured against.
+fn a_width_each(rays: &[Ray], footprints: &[Footprint], pixels: f64) {
+    assert_eq!(rays.len(), footprints.len(), "one width a ray");
+    assert!(pixels > 0.0, "an error of {pixels} pixels is asked for");
 }
 
 /// All hits of a ray in the order of (exact t, face id), each triangle once.

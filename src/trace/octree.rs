@@ -3,7 +3,7 @@
 use std::borrow::Borrow;
 
 use super::arch::Isa;
-use super::ask::{Ask, Least, LeastHit, LeastOfEach, Pause, Whether, WhetherEach};
+use super::ask::{Ask, Least, LeastHit, Pause, Whether};
 use super::batch::{Batch, SPACE};
 use super::collect::Collector;
 use super::flight::{Flight, STACKS, WORTHWHILE};
@@ -13,7 +13,7 @@ use super::packet::{self, PACKET};
 use super::patient::{Fast, Patient, STRETCH};
 use super::setup::Scene;
 use super::walk::{CACHED, File};
-use super::{BATCH, Counters, Found, Tracer, batch};
+use super::{BATCH, Counters, Found, Tracer, a_ray_each, a_width_each, batch};
 use crate::error::{Error, Result};
 use crate::geometry::{Aabb, Hit, Ray, Skip};
 use crate::map::{Halt, Octree};
@@ -73,6 +73,29 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         self.octree.borrow()
     }
 
+    /// What walks the file.
+    pub(super) fn walker(&self) -> Walker<'_> {
+        Walker { octree: self.octree(), scene: &self.scene, isa: self.isa, order: self.order }
+    }
+}
+
+/// A tracer, whatever holds its file.
+///
+/// Not generic, so that the walks, each of which is made for three instruction sets, are compiled once, with the library, and
+/// not again in every program that traces a ray.
+pub(super) struct Walker<'a> {
+    octree: &'a Octree,
+    scene: &'a Scene,
+    isa: Isa,
+    order: Option<Order>,
+}
+
+impl Walker<'_> {
+    /// The file.
+    pub fn octree(&self) -> &Octree {
+        self.octree
+    }
+
     /// Answers one ray.
     fn ask_one<A: Pause>(&self, ask: A, ray: &Ray, counters: &mut Counters) -> Result<A::Answer>
     where
@@ -98,7 +121,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         counters: &mut Counters,
     ) -> Result<()> {
         let visit = self.octree().visit();
-        let file = File::new(&visit, &self.scene);
+        let file = File::new(&visit, self.scene);
         let outcome = SPACE.with_borrow_mut(|space| {
             self.isa.run(Batch::<A, N> { ask, rays, answers, file, counters, space, packets })
         });
@@ -118,7 +141,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     where
         for<'c> A::Collector<'c>: Collector<'c>,
     {
-        let (octree, scene) = (self.octree(), &self.scene);
+        let (octree, scene) = (self.octree(), self.scene);
         let Some(detail) = octree.detail()? else {
             let file = octree.path().to_owned();
             return Err(Error::Input { file, what: "has no level of detail; build it again, without --no-lod".into() });
@@ -199,7 +222,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
         for<'c> A::Collector<'c>: Collector<'c>,
     {
         let visit = self.octree().visit();
-        let file = File::new(&visit, &self.scene);
+        let file = File::new(&visit, self.scene);
         // No page of a mapped file is ever absent, so no ray is left.
         let (ask, left) = (&ask, &mut Vec::new());
         let outcome = STACKS.with_borrow_mut(|stacks| {
@@ -221,7 +244,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     where
         for<'c> A::Collector<'c>: Collector<'c>,
     {
-        let (octree, scene, isa) = (self.octree(), &self.scene, self.isa);
+        let (octree, scene, isa) = (self.octree(), self.scene, self.isa);
         Patient { octree, scene, isa, ask, rays, fast }.answer(answers, counters)
     }
 
@@ -237,17 +260,17 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
 /// Most rays of a task where rays may wait.
 const MOST_PATIENT: usize = 1 << 16;
 
-impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
+impl Tracer for Walker<'_> {
     fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
-        self.ask_one(Least { skip, last: None }, ray, counters)
+        self.ask_one(Least { skips: &[skip], last: None }, ray, counters)
     }
 
     fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool> {
-        self.ask_one(Whether(skip), ray, counters)
+        self.ask_one(Whether(&[skip]), ray, counters)
     }
 
     fn next(&self, ray: &Ray, skip: Skip, last: &Found) -> Result<Option<Found>> {
-        self.ask_one(Least { skip, last: Some(last) }, ray, &mut Counters::default())
+        self.ask_one(Least { skips: &[skip], last: Some(last) }, ray, &mut Counters::default())
     }
 
     fn bounds(&self) -> Aabb {
@@ -261,19 +284,19 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
         found: &mut [Option<Found>],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == found.len(), "a skip and an answer a ray");
-        self.many(LeastOfEach(skips), rays, found, counters)
+        a_ray_each(rays, skips, found);
+        self.many(Least { skips, last: None }, rays, found, counters)
     }
 
     fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
-        self.many(WhetherEach(skips), rays, blocked, counters)
+        a_ray_each(rays, skips, blocked);
+        self.many(Whether(skips), rays, blocked, counters)
     }
 
     fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
+        a_ray_each(rays, skips, blocked);
         if self.octree().is_budgeted() {
-            return self.patiently(WhetherEach(skips), rays, blocked, Fast::Near(skips), counters);
+            return self.patiently(Whether(skips), rays, blocked, Fast::Near(skips), counters);
         }
         let visit = self.octree().visit();
         let outcome = self.isa.run(Near { visit: &visit, rays, skips, blocked, counters });
@@ -289,10 +312,8 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
         met: &mut [Met],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(
-            rays.len() == footprints.len() && rays.len() == met.len() && pixels > 0.0,
-            "a width and an answer a ray"
-        );
+        a_ray_each(rays, footprints, met);
+        a_width_each(rays, footprints, pixels);
         let give = |i: usize, found: Option<Found>, surrogate: Option<Approximate>| {
             met[i] = match (found, surrogate) {
                 (Some(found), Some(surrogate)) if surrogate.t < found.hit.t => Met::Surrogate(surrogate),
@@ -301,7 +322,7 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
                 (None, None) => Met::Nothing,
             };
         };
-        self.coarse(Least { skip: Skip::NONE, last: None }, rays, (footprints, pixels), counters, give)
+        self.coarse(Least { skips: &[], last: None }, rays, (footprints, pixels), counters, give)
     }
 
     fn any_coarse(
@@ -313,10 +334,10 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
         blocked: &mut [bool],
         counters: &mut Counters,
     ) -> Result<()> {
-        assert!(rays.len() == skips.len() && rays.len() == blocked.len(), "a skip and an answer a ray");
-        assert!(rays.len() == footprints.len() && pixels > 0.0, "a width a ray");
+        a_ray_each(rays, skips, blocked);
+        a_width_each(rays, footprints, pixels);
         let give = |i: usize, found: bool, surrogate: Option<Approximate>| blocked[i] = found || surrogate.is_some();
-        self.coarse(WhetherEach(skips), rays, (footprints, pixels), counters, give)
+        self.coarse(Whether(skips), rays, (footprints, pixels), counters, give)
     }
 
     fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
@@ -325,7 +346,74 @@ impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
 
     fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
         batch(rays, blocked, self.task(rays.len()), |rays, blocked, counters| {
-            self.many(Whether(Skip::NONE), rays, blocked, counters)
+            self.many(Whether(&[]), rays, blocked, counters)
         })
+    }
+}
+
+impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
+    fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
+        self.walker().closest_counted(ray, skip, counters)
+    }
+
+    fn any_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<bool> {
+        self.walker().any_counted(ray, skip, counters)
+    }
+
+    fn next(&self, ray: &Ray, skip: Skip, last: &Found) -> Result<Option<Found>> {
+        self.walker().next(ray, skip, last)
+    }
+
+    fn bounds(&self) -> Aabb {
+        self.walker().bounds()
+    }
+
+    fn closest_each(
+        &self,
+        rays: &[Ray],
+        skips: &[Skip],
+        found: &mut [Option<Found>],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        self.walker().closest_each(rays, skips, found, counters)
+    }
+
+    fn any_each(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        self.walker().any_each(rays, skips, blocked, counters)
+    }
+
+    fn any_short(&self, rays: &[Ray], skips: &[Skip], blocked: &mut [bool], counters: &mut Counters) -> Result<()> {
+        self.walker().any_short(rays, skips, blocked, counters)
+    }
+
+    fn closest_coarse(
+        &self,
+        rays: &[Ray],
+        footprints: &[Footprint],
+        pixels: f64,
+        met: &mut [Met],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        self.walker().closest_coarse(rays, footprints, pixels, met, counters)
+    }
+
+    fn any_coarse(
+        &self,
+        rays: &[Ray],
+        skips: &[Skip],
+        footprints: &[Footprint],
+        pixels: f64,
+        blocked: &mut [bool],
+        counters: &mut Counters,
+    ) -> Result<()> {
+        self.walker().any_coarse(rays, skips, footprints, pixels, blocked, counters)
+    }
+
+    fn closest_batch(&self, rays: &[Ray], hits: &mut [Hit]) -> Result<Counters> {
+        self.walker().closest_batch(rays, hits)
+    }
+
+    fn any_batch(&self, rays: &[Ray], blocked: &mut [bool]) -> Result<Counters> {
+        self.walker().any_batch(rays, blocked)
     }
 }

@@ -11,6 +11,7 @@ use std::marker::PhantomData;
 use super::arch::{Kernel, Rough};
 use super::ask::{Ask, Leaves};
 use super::collect::{Next, Stored};
+use super::octree::Walker;
 use super::packet::PACKET;
 use super::walk::Sight;
 use super::{BATCH, Counters, Found, OctreeTracer, batch};
@@ -23,15 +24,25 @@ impl<O: Borrow<Octree> + Send + Sync> OctreeTracer<O> {
     /// The closest hits as f32 alone has them, one ray after the other or in packets. To measure what exactness costs; only of mapped files.
     #[doc(hidden)]
     pub fn rough_closest_batch(&self, rays: &[Ray], hits: &mut [Hit], packets: bool) -> Result<Counters> {
+        self.walker().rough_closest_batch(rays, hits, packets)
+    }
+
+    /// Whether anything is hit as f32 alone has it, one ray after the other or in packets. To measure what exactness costs.
+    #[doc(hidden)]
+    pub fn rough_any_batch(&self, rays: &[Ray], blocked: &mut [bool], packets: bool) -> Result<Counters> {
+        self.walker().rough_any_batch(rays, blocked, packets)
+    }
+}
+
+impl Walker<'_> {
+    fn rough_closest_batch(&self, rays: &[Ray], hits: &mut [Hit], packets: bool) -> Result<Counters> {
         batch(rays, hits, BATCH, |rays, hits, counters| {
             self.mapped_only()?;
             self.one_by_one::<_, PACKET>(RoughLeast, rays, hits, packets, counters)
         })
     }
 
-    /// Whether anything is hit as f32 alone has it, one ray after the other or in packets. To measure what exactness costs.
-    #[doc(hidden)]
-    pub fn rough_any_batch(&self, rays: &[Ray], blocked: &mut [bool], packets: bool) -> Result<Counters> {
+    fn rough_any_batch(&self, rays: &[Ray], blocked: &mut [bool], packets: bool) -> Result<Counters> {
         batch(rays, blocked, BATCH, |rays, blocked, counters| {
             self.mapped_only()?;
             self.one_by_one::<_, PACKET>(RoughWhether, rays, blocked, packets, counters)

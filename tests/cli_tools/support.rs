@@ -89,8 +89,9 @@ impl Lab {
     }
 }
 
-fn tool_path(tool: &str) -> &'static Path {
+pub fn tool_path(tool: &str) -> &'static Path {
     Path::new(match tool {
+        "octbench" => env!("CARGO_BIN_EXE_octbench"),
         "octbuild" => env!("CARGO_BIN_EXE_octbuild"),
         "octinfo" => env!("CARGO_BIN_EXE_octinfo"),
         "octrender" => env!("CARGO_BIN_EXE_octrender"),

@@ -8,6 +8,8 @@
 pub mod args;
 pub mod diagnostics;
 pub mod interrupt;
+mod man;
+mod manual;
 pub mod output;
 pub mod progress;
 pub mod reading;
@@ -69,9 +71,12 @@ pub trait Arguments: CommandFactory + FromArgMatches {
 
 /// Runs a tool: parses the arguments, sets everything up, calls `body` and turns its result into an exit code.
 pub fn run<A: Arguments>(body: impl FnOnce(&A, &Session<'_>) -> Result<ExitCode, Error>) -> ExitCode {
-    let command = A::command().long_version(long_version()).propagate_version(true);
+    let command = manual::complete(A::command());
     let name = command.get_name().to_owned();
-    let matches = command.get_matches();
+    let matches = manual::parsing(command, std::env::args_os()).get_matches();
+    if let Some(page) = manual::wanted(&matches) {
+        return exit_code(output::print_bytes(&manual::page(page, A::command())).map(|()| ExitCode::SUCCESS));
+    }
     let parsed = A::from_arg_matches(&matches).unwrap_or_else(|e| e.format(&mut A::command()).exit());
     let reporter = Reporter::new(&name, parsed.common().quiet);
     let sink = |event| reporter.show(event);
@@ -79,6 +84,11 @@ pub fn run<A: Arguments>(body: impl FnOnce(&A, &Session<'_>) -> Result<ExitCode,
     let result = interrupt::listen().and_then(|()| args::use_threads(parsed.common().threads));
     let result = result.and_then(|()| body(&parsed, &session));
     session.finish();
+    exit_code(result)
+}
+
+/// The exit code of what was done; tells of an error.
+fn exit_code(result: Result<ExitCode, Error>) -> ExitCode {
     match result {
         Ok(code) => code,
         Err(error) if is_broken_pipe(&error) => ExitCode::SUCCESS,
@@ -92,9 +102,4 @@ pub fn run<A: Arguments>(body: impl FnOnce(&A, &Session<'_>) -> Result<ExitCode,
 /// Whoever reads our output has had enough: that is no error.
 fn is_broken_pipe(error: &Error) -> bool {
     matches!(error, Error::Io { source, .. } if source.kind() == std::io::ErrorKind::BrokenPipe)
-}
-
-/// Program version and the version of the file format.
-fn long_version() -> String {
-    format!("{}\noctree file format {}", env!("CARGO_PKG_VERSION"), octrace::format::VERSION)
 }

@@ -44,8 +44,6 @@ struct Args {
 }
 
 const EXAMPLES: &str = "\
-Exit code 1: something disagrees with the oracle.
-
 Examples:
   octbench accuracy --rays 1e6 --stats accuracy.json
   octbench accuracy --model bunny.obj --rays 1e6

@@ -32,10 +32,14 @@ struct Args {
     /// The octree file to write
     #[arg(short, long, value_name = "OUT.oct")]
     output: PathBuf,
-    /// Skip faces with a bad index and lines that cannot be read, and count them, instead of stopping there
+    /// Leave out what is wrong in the mesh instead of stopping there
+    ///
+    /// Faces with a bad index and lines that cannot be read are skipped and counted.
     #[arg(long, help_heading = "Mesh")]
     lenient: bool,
-    /// Subtract this point from all coordinates before they become f32; rays and scenes are then in that frame
+    /// Subtract this point from all coordinates before they become f32
+    ///
+    /// For coordinates too large for f32 (maps, cities). Rays and scenes are then in that frame.
     #[arg(long, value_name = "X,Y,Z", value_parser = cli::args::point, allow_hyphen_values = true, help_heading = "Mesh")]
     origin: Option<DVec3>,
     #[command(flatten)]
@@ -69,7 +73,9 @@ struct Tree {
     /// With --split octree or strict: deepest level of cells, 0 to 21 [default: 21]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=21))]
     depth: Option<u8>,
-    /// Leave out face ids: 4 bytes a triangle less, and hits name places in the file instead; large triangles are not cut
+    /// Leave out face ids: 4 bytes a triangle less
+    ///
+    /// Hits then name places in the file instead, and large triangles are not cut.
     #[arg(long)]
     no_ids: bool,
     /// Leave out what octrender's --lod needs: 0.3 to 0.6 bytes a triangle of a scan less
@@ -81,11 +87,14 @@ struct Tree {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Content")]
 struct Content {
-    /// Positions as they are, or moved to a grid, one for all, where they take half the bytes (if the step is a power of
-    /// two) [default step: 2^-19 to 2^-23 of the mesh's size]
+    /// Positions as they are, or moved to a grid where they take half the bytes
+    ///
+    /// The grid is one for all; its step should be a power of two. Without a step it is 2^-19 to 2^-23 of the mesh's size.
     #[arg(long, value_name = "exact|grid[:STEP]", value_parser = positions, default_value = "exact")]
     positions: Positions,
-    /// Pack pages, for shipping and slow disks; they are unpacked into memory when they are used [default level: 3]
+    /// Pack pages, for shipping and slow disks
+    ///
+    /// They are unpacked into memory when they are used. The level is 1 to 22, 3 if not given.
     #[arg(long, value_name = "none|zstd[:LEVEL]", value_parser = compression, default_value = "none")]
     compress: Compression,
 }
@@ -151,7 +160,7 @@ Examples:
   octbuild huge.obj -o huge.oct --memory 512M         never above 512 MiB, whatever the size of the mesh
   octbuild city.obj -o city.oct --origin 4.5e5,5.4e6,0
                                                       coordinates too large for f32
-  octbuild bunny.obj -o b.oct --split strict --cell 8 the textbook octree, to compare with
+  octbuild bunny.obj -o b.oct --split strict --cell 8  the textbook octree, to compare with
 ";
 
 impl Arguments for Args {

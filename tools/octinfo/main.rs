@@ -31,11 +31,15 @@ struct Args {
     /// Check every checksum and every rule of the format, in every page
     #[arg(long)]
     verify: bool,
-    /// Write the triangles that touch a box, or all, as OBJ in the order of their ids (needs -o)
+    /// Write all triangles, or those that touch a box, as OBJ (needs -o)
+    ///
+    /// In the order of their ids. The box is in the file's frame.
     #[arg(long, value_name = "all|X0,Y0,Z0,X1,Y1,Z1", value_parser = cli::args::part, allow_hyphen_values = true)]
     #[arg(requires = "output", help_heading = "Extract")]
     extract: Option<Part>,
-    /// The OBJ file to write; `-` is standard output. Materials go to an MTL file beside it
+    /// The OBJ file to write
+    ///
+    /// `-` is standard output. Materials go to an MTL file beside it.
     #[arg(short, long, value_name = "PART.obj", requires = "extract", help_heading = "Extract")]
     output: Option<PathBuf>,
     #[command(flatten)]

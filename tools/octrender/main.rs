@@ -41,11 +41,13 @@ struct Args {
     /// What to draw: a scene file (`-`: standard input), an octree file, or an OBJ file
     #[arg(value_name = "SCENE.txt|MODEL.oct|MODEL.obj", required_unless_present = "assemble")]
     input: Option<PathBuf>,
-    /// The picture: PNG, EXR, HDR and others by suffix; `-` is PNG on standard output [default: what the scene says, or
-    /// the input's name with .png]; with --shard the part, or a folder for it
+    /// The picture: PNG, EXR, HDR and others by suffix
+    ///
+    /// `-` is PNG on standard output. Not given: what the scene says, or the input's name with .png. With --shard it is the part, or
+    /// a folder for it.
     #[arg(short, long, value_name = "IMAGE")]
     output: Option<PathBuf>,
-    /// Leave out lines of a scene, and faces of a mesh, that are wrong, and warn of them, instead of stopping there
+    /// Leave out what is wrong in scene or mesh, and warn of it, instead of stopping there
     #[arg(long)]
     lenient: bool,
     #[command(flatten)]
@@ -75,15 +77,19 @@ struct PictureArgs {
     /// Bounces of mirrored and refracted rays
     #[arg(long, value_name = "N")]
     depth: Option<u32>,
-    /// Draw only these pixels, counted from the top left corner; X1 and Y1 are not included
+    /// Draw only these pixels
+    ///
+    /// Counted from the top left corner; X1 and Y1 are not included.
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = cli::args::pixels)]
     crop: Option<[u32; 4]>,
-    /// Write a picture of data too, as .exr (the numbers) or .png (false colours); NAME is depth, normal, position, face,
-    /// material, shadow, cost (nodes and leaves visited) or pages (entered); may be repeated
+    /// Write a picture of data too: depth, normal, position, face, material, shadow, cost or pages
+    ///
+    /// As .exr (the numbers) or .png (false colours). Cost is the nodes and leaves visited, pages those entered. May be repeated.
     #[arg(long, value_name = "NAME=FILE", value_parser = aovs::parse)]
     aov: Vec<AovFile>,
-    /// Let a part of a mesh that is smaller than this many pixels stand for its triangles: faster from afar, and off by at most that;
-    /// 0 is exact [default: 0]
+    /// Let parts of a mesh smaller than so many pixels stand for their triangles [default: 0]
+    ///
+    /// Faster from afar, fewer pages read, and off by at most that, which is told; 0 is exact.
     #[arg(long, value_name = "PX", value_parser = pixel_error)]
     lod: Option<f64>,
 }
@@ -92,8 +98,10 @@ struct PictureArgs {
 #[derive(clap::Args)]
 #[command(next_help_heading = "Several machines")]
 struct Farm {
-    /// Draw share I of N, counted from 0, into a part: NAME.part-I-of-N.exr; auto/N takes I, and auto takes both, from what the
-    /// scheduler says (Slurm: SLURM_ARRAY_TASK_ID and its like; Kubernetes: JOB_COMPLETION_INDEX, which needs auto/N)
+    /// Draw share I of N, counted from 0, into a part of the picture
+    ///
+    /// The part is NAME.part-I-of-N.exr. auto/N takes I, and auto takes both, from what the scheduler says: SLURM_ARRAY_TASK_ID and its
+    /// like in an array of Slurm, or JOB_COMPLETION_INDEX in an indexed job of Kubernetes, which needs auto/N.
     #[arg(long, value_name = "I/N|auto/N|auto", value_parser = shard::parse, conflicts_with = "aov")]
     shard: Option<shard::Wish>,
     /// Put the parts of a picture together; the same bytes as drawn by one machine
@@ -112,8 +120,8 @@ fn pixel_error(text: &str) -> std::result::Result<f64, String> {
 }
 
 const EXAMPLES: &str = "\
-Ctrl-C writes what is done so far as NAME.partial.png; a second Ctrl-C ends at once.
-An OBJ file is built into an octree file once, MODEL.obj.cache.oct beside it, and reused while it does not change.
+Ctrl-C writes what is done so far; a second Ctrl-C ends at once.
+An OBJ file is built into an octree file once, which is reused while the OBJ file does not change.
 
 Examples:
   octrender bunny.oct                                 a picture bunny.png, nothing else to say
@@ -124,8 +132,13 @@ Examples:
   octrender scene.txt --crop 400,300,500,400 --samples 64 -o detail.png
   octrender scene.txt --aov depth=depth.exr --aov cost=cost.png
   octrender scene.txt --watch --preview 2             again whenever a file of it changes; what is done, every 2 s
-  octrender scene.txt --shard 3/8                     share 3 of 8: scene.part-3-of-8.exr
-  octrender --assemble scene.part-*-of-8.exr -o scene.png
+  octrender scene.txt --shard 0/2                     the first of two shares: scene.part-0-of-2.exr
+  octrender scene.txt --shard 1/2
+  octrender --assemble scene.part-*-of-2.exr -o scene.png
+
+Files:
+  MODEL.obj.cache.oct  the octree file of MODEL.obj, beside it or, where that cannot be written, in the user's cache folder
+  NAME.partial.png     what was done when Ctrl-C came, beside the picture NAME.png
 ";
 
 impl Arguments for Args {

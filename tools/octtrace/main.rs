@@ -37,10 +37,14 @@ struct Args {
     /// Only say whether anything is hit: one byte a ray, 1 = blocked
     #[arg(long)]
     any: bool,
-    /// Trace the whole set N times and write it once, to measure; holds all rays in memory
+    /// Trace the whole set N times and write it once, to measure
+    ///
+    /// Holds all rays in memory.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     repeat: u32,
-    /// Instruction set to trace with: auto, scalar, avx2 or avx512; the hits are the same, bit for bit
+    /// Instruction set to trace with: auto, scalar, avx2 or avx512
+    ///
+    /// The hits are the same, bit for bit.
     #[arg(long, value_name = "SET", default_value = "auto", value_parser = isa)]
     isa: Isa,
     #[command(flatten)]

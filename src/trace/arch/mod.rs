@@ -210,6 +210,10 @@ impl Isa {
     /// Portable code; always there.
     pub const SCALAR: Isa = Isa(Set::Scalar);
 
+    /// Names of all that were compiled in, whatever the processor has, the best last.
+    pub const COMPILED: &[&str] =
+        if cfg!(target_arch = "x86_64") { &["scalar", "avx2", "avx512"] } else { &["scalar"] };
+
     /// The best that this processor has; found out once.
     pub fn best() -> Isa {
         static BEST: OnceLock<Isa> = OnceLock::new();

@@ -37,8 +37,10 @@ pub struct Options {
     /// The octree file
     #[arg(value_name = "MODEL.oct")]
     model: PathBuf,
-    /// A camera: bunny-over, bunny-close, planet-over, planet-close, kitchen-outside, kitchen-inside, or
-    /// NAME=EYE/LOOK/UP/FOV/LIGHT with points as X,Y,Z; may be repeated [default: one that takes in everything]
+    /// A camera [default: one that takes in everything]
+    ///
+    /// bunny-over, bunny-close, planet-over, planet-close, kitchen-outside, kitchen-inside, or NAME=EYE/LOOK/UP/FOV/LIGHT with points as
+    /// X,Y,Z. May be repeated.
     #[arg(long = "view", value_name = "VIEW", value_parser = View::parse)]
     views: Vec<View>,
     /// Kinds of rays to make [default: all; none where files of rays are given]
@@ -71,10 +73,14 @@ pub struct Options {
     /// Rounds that are timed
     #[arg(long, value_name = "N", default_value_t = 7, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
-    /// What to read: the time that passed, or the processor's time for one thread on a machine that others work on
+    /// The clock to read
+    ///
+    /// The time that passed, or the processor's time for one thread on a machine that others work on.
     #[arg(long, value_enum, default_value = "wall")]
     clock: Clock,
-    /// A command that runs another tracer on the same rays, as tests/peers/README.md tells; may be repeated
+    /// A command that runs another tracer on the same rays
+    ///
+    /// tests/peers/README.md tells how it is spoken to. May be repeated.
     #[arg(long = "peer-command", value_name = "CMD")]
     peers: Vec<String>,
     /// Print Markdown instead of a table

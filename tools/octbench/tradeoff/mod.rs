@@ -65,15 +65,17 @@ pub struct Options {
     /// Speed of that tracer in Mrays/s, as it was measured beside these
     #[arg(long, value_name = "X", requires = "peer")]
     peer_mrays: Option<f64>,
-    /// A command that runs another tracer on the same rays, with {mesh} where the OBJ file's name belongs, as tests/peers/README.md
-    /// tells; may be repeated
+    /// A command that runs another tracer on the same rays
+    ///
+    /// {mesh} in it is the OBJ file's name; tests/peers/README.md tells how it is spoken to. May be repeated.
     #[arg(long = "peer-command", value_name = "CMD")]
     peers: Vec<String>,
     /// Kernels of the library to compare [default: the one for single rays, and the one that does the same with rounding]
     #[arg(long, value_name = "NAME,..", value_delimiter = ',', value_parser = kernels::named)]
     kernels: Vec<&'static Kernel>,
-    /// An octree file to draw from afar over `octrender --lod` 0 to 4: time, what is read, and the picture's error; may be repeated. Without
-    /// --model, --planet or --rays-file nothing else is compared
+    /// An octree file to draw from afar over `octrender --lod` 0 to 4
+    ///
+    /// Tells time, what is read, and the picture's error. May be repeated. Without --model, --planet or --rays-file nothing else is compared.
     #[arg(long = "lod", value_name = "FILE.oct")]
     lod: Vec<PathBuf>,
     /// With --lod: width of the mesh in pixels
@@ -82,7 +84,9 @@ pub struct Options {
     /// Rounds that are timed
     #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u32).range(1..=100_000))]
     rounds: u32,
-    /// What to read: the time that passed, or the processor's time, on a machine that others work on
+    /// The clock to read
+    ///
+    /// The time that passed, or the processor's time, on a machine that others work on.
     #[arg(long, value_enum, default_value = "wall")]
     clock: Clock,
     /// Write the plot to NAME.svg and NAME.png
