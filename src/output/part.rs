@@ -276,7 +276,7 @@ fn begin(path: &Path) -> Result<(Part, Reader<BufReader<Limited>>)> {
 fn fits(header: &Header, size: [usize; 2]) -> bool {
     let channels = &header.channels.list;
     let right = |(channel, (name, _)): (&exr::meta::attribute::ChannelDescription, (&str, usize))| {
-        channel.name == Text::from(name) && channel.sample_type == SampleType::F32 && channel.sampling.area() == 1
+        channel.name == *name && channel.sample_type == SampleType::F32 && channel.sampling.area() == 1
     };
     let one_level = header.blocks == exr::meta::BlockDescription::ScanLines && !header.deep;
     [header.layer_size.x(), header.layer_size.y()] == size
