@@ -20,7 +20,7 @@ use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use crate::build::{BuildOptions, build};
 use crate::error::{Error, Result};
-use crate::event::Monitor;
+use crate::event::{Event, Monitor};
 use crate::format::{HEADER_BYTES, VERSION};
 use crate::map::Octree;
 use crate::mesh::{self, ReadOptions};
@@ -59,6 +59,9 @@ fn open_or_build_in(
         return Octree::open(mesh);
     }
     let source = Source::of(mesh, read)?;
+    for library in &source.libraries {
+        monitor.send(Event::File(mesh.with_file_name(&library.name)));
+    }
     let beside = Place::beside(mesh);
     let in_cache = user.map(|folder| Place::in_cache(folder, mesh));
     let places = || std::iter::once(&beside).chain(&in_cache);

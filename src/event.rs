@@ -2,6 +2,7 @@
 //!
 //! The library never prints. It sends [`Event`]s to the [`Monitor`] it is given; a tool shows them.
 
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use crate::error::{Diagnostic, Error, Result};
@@ -33,6 +34,8 @@ pub enum Event {
     Warning(String),
     /// The same, about a place in a text file.
     Diagnostic(Diagnostic),
+    /// A file that the result depends on is about to be read; it need not be there.
+    File(PathBuf),
 }
 
 /// Where events go, and whether the work should stop.

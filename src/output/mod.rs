@@ -6,6 +6,7 @@
 
 mod aov;
 pub mod drawing;
+mod part;
 
 use std::io::{Cursor, Write};
 use std::path::Path;
@@ -17,6 +18,7 @@ use crate::render::Film;
 use crate::scene::ToneMap;
 
 pub use aov::{AovFormat, encode_aov, save_aov};
+pub use part::{Part, encode_part, save_part};
 
 /// Suffixes and what they stand for.
 const SUFFIXES: [(&str, ImageFormat); 9] = [

@@ -44,10 +44,15 @@ impl Film {
         self.pixels[y as usize * self.width as usize + x as usize]
     }
 
-    /// Writes a row of pixels from column `x` of row `y` on.
-    pub(super) fn put(&mut self, x: u32, y: u32, row: &[[f32; 3]]) {
-        let first = y as usize * self.width as usize + x as usize;
-        self.pixels[first..first + row.len()].copy_from_slice(row);
+    /// Writes the pixels of columns x0..x1 and rows y0..y1, which lie within the picture, rows from the top.
+    ///
+    /// # Panics
+    /// If they do not, or if there are fewer pixels.
+    pub fn put_tile(&mut self, [x0, y0, x1, y1]: [u32; 4], pixels: &[[f32; 3]]) {
+        for (y, row) in (y0..y1).zip(pixels.chunks_exact((x1 - x0) as usize)) {
+            let first = y as usize * self.width as usize + x0 as usize;
+            self.pixels[first..first + row.len()].copy_from_slice(row);
+        }
     }
 }
 

@@ -69,45 +69,85 @@ pub struct Statistics {
     pub tiles: u64,
 }
 
+/// A tile that is done.
+#[derive(Clone, Copy, Debug)]
+pub struct Tile<'a> {
+    /// Where it stands in the order in which tiles are taken.
+    pub number: usize,
+    /// Its pixels: columns x0..x1, rows y0..y1 of the film, as `[x0, y0, x1, y1]`.
+    pub place: [u32; 4],
+    /// Linear light, rows from the top.
+    pub pixels: &'a [[f32; 3]],
+}
+
 /// The picture of a world, on the threads of the current rayon pool.
 ///
 /// An interruption is no error: it returns the tiles done so far, `complete` false. A damaged page or a failed read is
 /// one, at once: never a wrong picture. Settings that make no picture are [`Error::Option`].
 pub fn render(world: &World, settings: &Settings, monitor: Monitor<'_>) -> Result<Picture> {
+    render_shown(world, settings, &|_| (), monitor)
+}
+
+/// The same; each tile is shown to `watcher` as it is done, by the thread that made it.
+pub fn render_shown(
+    world: &World,
+    settings: &Settings,
+    watcher: &(dyn Fn(Tile<'_>) + Sync),
+    monitor: Monitor<'_>,
+) -> Result<Picture> {
     let begin = Instant::now();
     monitor.phase("render");
     let job = Job::new(world, settings)?;
-    let mut film = Film::new(job.width, job.height)?;
+    let film = Mutex::new(Film::new(job.width, job.height)?);
     let tile = settings.tile.max(1);
     let order = hilbert::order(job.width.div_ceil(tile), job.height.div_ceil(tile));
-    let shared = Shared {
-        next: AtomicUsize::new(0),
-        stop: AtomicBool::new(false),
-        state: Mutex::new(State { film: &mut film, statistics: Statistics::default(), error: None }),
+    let keep = |done: Tile<'_>| {
+        film.lock().unwrap_or_else(|poison| poison.into_inner()).put_tile(done.place, done.pixels);
+        watcher(done);
     };
-    let start = Instant::now();
-    rayon::broadcast(|_| job.work(&order, tile, &shared, monitor));
-    let trace_seconds = start.elapsed().as_secs_f64();
-    let State { mut statistics, error, .. } = shared.state.into_inner().unwrap_or_else(|poison| poison.into_inner());
-    if let Some(error) = error {
-        return Err(error);
-    }
-    (statistics.trace_seconds, statistics.seconds) = (trace_seconds, begin.elapsed().as_secs_f64());
+    let mut statistics = tiles(&job, &order, tile, &keep, monitor)?;
+    statistics.seconds = begin.elapsed().as_secs_f64();
+    let film = film.into_inner().unwrap_or_else(|poison| poison.into_inner());
     Ok(Picture { film, statistics, complete: statistics.tiles == order.len() as u64 })
 }
 
+/// Makes tiles of a side of `tile` pixels in the order given, and hands each to `done`. Some are left out if the work is interrupted.
+pub(super) fn tiles(
+    job: &Job<'_>,
+    order: &[[u32; 2]],
+    tile: u32,
+    done: &(dyn Fn(Tile<'_>) + Sync),
+    monitor: Monitor<'_>,
+) -> Result<Statistics> {
+    let shared = Shared {
+        next: AtomicUsize::new(0),
+        stop: AtomicBool::new(false),
+        done,
+        state: Mutex::new(State { statistics: Statistics::default(), error: None }),
+    };
+    let start = Instant::now();
+    rayon::broadcast(|_| job.work(order, tile, &shared, monitor));
+    let State { mut statistics, error } = shared.state.into_inner().unwrap_or_else(|poison| poison.into_inner());
+    if let Some(error) = error {
+        return Err(error);
+    }
+    statistics.trace_seconds = start.elapsed().as_secs_f64();
+    Ok(statistics)
+}
+
 /// What the threads share.
-struct Shared<'f> {
+struct Shared<'d> {
     /// The next tile to take.
     next: AtomicUsize,
     /// Something went wrong: take no more.
     stop: AtomicBool,
-    state: Mutex<State<'f>>,
+    /// Takes what is done.
+    done: &'d (dyn Fn(Tile<'_>) + Sync),
+    state: Mutex<State>,
 }
 
 /// What they add to, a tile at a time.
-struct State<'f> {
-    film: &'f mut Film,
+struct State {
     statistics: Statistics,
     error: Option<Error>,
 }
@@ -129,8 +169,8 @@ pub(super) struct Job<'w> {
     pub wave: usize,
 }
 
-/// Width and height of what is to be drawn.
-pub(super) fn region(scene: &Scene, settings: &Settings) -> Result<[u32; 2]> {
+/// Width and height of what is to be drawn: the picture or its crop. Fails if there is no such picture.
+pub fn region(scene: &Scene, settings: &Settings) -> Result<[u32; 2]> {
     let [columns, rows] = settings.size.unwrap_or(scene.size);
     if !(1..=MOST_SIDE).contains(&columns) || !(1..=MOST_SIDE).contains(&rows) {
         let what = format!("a picture of {columns} x {rows} cannot be made: each side is 1 to {MOST_SIDE} pixels");
@@ -169,19 +209,21 @@ impl<'w> Job<'w> {
     fn work(&self, order: &[[u32; 2]], tile: u32, shared: &Shared<'_>, monitor: Monitor<'_>) {
         let mut desk = Desk::new(self.depth);
         while !shared.stop.load(Ordering::Relaxed) && !monitor.stopped() {
-            let Some(&[i, j]) = order.get(shared.next.fetch_add(1, Ordering::Relaxed)) else { return };
+            let number = shared.next.fetch_add(1, Ordering::Relaxed);
+            let Some(&[i, j]) = order.get(number) else { return };
             let (x0, y0) = (i * tile, j * tile);
             let (x1, y1) = (x0.saturating_add(tile).min(self.width), y0.saturating_add(tile).min(self.height));
             (desk.wave.counts, desk.wave.detail) = (RayCounts::default(), DetailCounts::default());
             let stopped = || monitor.stopped() || shared.stop.load(Ordering::Relaxed);
             let done = self.tile([x0, y0, x1, y1], &mut desk, &stopped);
             let done = self.world.fault().and(done);
+            if let Ok(true) = done {
+                (shared.done)(Tile { number, place: [x0, y0, x1, y1], pixels: &desk.pixels });
+            }
             let mut state = shared.state.lock().unwrap_or_else(|poison| poison.into_inner());
             match done {
                 Ok(false) => return,
                 Ok(true) => {
-                    let rows = desk.pixels.chunks((x1 - x0) as usize);
-                    rows.zip(y0..).for_each(|(row, y)| state.film.put(x0, y, row));
                     state.statistics.rays += desk.wave.counts;
                     state.statistics.detail += desk.wave.detail;
                     state.statistics.tiles += 1;

@@ -11,7 +11,7 @@ use super::parser::Parser;
 use super::source::{MAX_BYTES, take_limited};
 use super::{Camera, Color, Instance, Light, Material, MeshFile, Scene, ToneMap};
 use crate::error::{Error, Result};
-use crate::event::Monitor;
+use crate::event::{Event, Monitor};
 
 /// How strictly a scene is read.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -31,6 +31,7 @@ impl Scene {
             let bytes = take_limited(io::stdin().lock(), MAX_BYTES).map_err(input)?;
             return Parser::new(Log::new(options.lenient, monitor)).read(bytes, "<stdin>", Path::new(""), None);
         }
+        monitor.send(Event::File(path.to_owned()));
         let input = |what: String| Error::Input { file: path.to_owned(), what };
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         if file.metadata().map_err(Error::io(path, "open"))?.is_dir() {

@@ -13,6 +13,7 @@ use super::source::decode;
 use super::suggest::did_you_mean;
 use super::{Color, Material, Scene, lexer};
 use crate::error::{Result, Severity};
+use crate::event::Event;
 
 /// Most commands of a scene with all that it includes.
 pub(super) const MOST_COMMANDS: u64 = 1_000_000;
@@ -49,6 +50,8 @@ pub(super) struct State {
     pub folder: PathBuf,
     /// The files that are being read, the innermost last.
     pub including: Vec<OpenFile>,
+    /// Files that the current command names.
+    pub named: Vec<PathBuf>,
     /// A file to be read before the next line.
     pub included: Option<Include>,
     /// Bytes read so far.
@@ -89,6 +92,7 @@ impl State {
             mesh_numbers: HashMap::new(),
             folder: PathBuf::new(),
             including: Vec::new(),
+            named: Vec::new(),
             included: None,
             bytes: 0,
             material_numbers: HashMap::new(),
@@ -183,7 +187,9 @@ impl<'a> Parser<'a> {
             return Ok(Err(problem.maybe_help(did_you_mean(word.text, COMMANDS.iter().map(|c| c.name)))));
         };
         let mut args = Args::new(line, &words, command.usage);
-        if let Err(problem) = (command.run)(&mut self.state, &mut args) {
+        let run = (command.run)(&mut self.state, &mut args);
+        self.state.named.drain(..).for_each(|file| self.log.monitor.send(Event::File(file)));
+        if let Err(problem) = run {
             return Ok(Err(problem));
         }
         args.warn_of_rest();

@@ -27,6 +27,7 @@ mod batch;
 mod beam;
 #[cfg(test)]
 mod double;
+mod fingerprint;
 #[cfg(test)]
 mod grazing_tests;
 mod heading;

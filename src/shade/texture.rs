@@ -88,6 +88,11 @@ impl Texture {
         row(top).lerp(row(top + 1), fy)
     }
 
+    /// Texels as stored, rows from the top.
+    pub(super) fn texels(&self) -> &[[u8; 3]] {
+        &self.texels
+    }
+
     fn texel(&self, x: i64, y: i64) -> DVec3 {
         let (x, y) = (x.rem_euclid(self.width as i64) as usize, y.rem_euclid(self.height as i64) as usize);
         let texel = self.texels[y * self.width + x];

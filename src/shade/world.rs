@@ -12,7 +12,7 @@ use super::ray::{Omit, WorldRay};
 use super::texture::Texture;
 use super::tree::{Item, Tree};
 use crate::error::{Error, Result};
-use crate::event::Monitor;
+use crate::event::{Event, Monitor};
 use crate::format::{Flags, MaterialRecord};
 use crate::geometry::{Aabb, Ray, Skip};
 use crate::map::Octree;
@@ -285,6 +285,16 @@ impl Mesh {
         Mesh { tracer, octree: None, pixels: None, mixed: None, textures: Vec::new() }
     }
 
+    /// Its file, if it is of one.
+    pub(super) fn octree(&self) -> Option<&Octree> {
+        self.octree.as_deref()
+    }
+
+    /// Its textures by material record.
+    pub(super) fn textures(&self) -> &[Option<Texture>] {
+        &self.textures
+    }
+
     /// What a ray meets first; with level of detail, if it has a width.
     pub(super) fn meet(
         &self,
@@ -394,7 +404,9 @@ fn textures(octree: &Octree, tonemap: ToneMap, monitor: Monitor<'_>) -> Vec<Opti
         if let Some((_, texture)) = known.iter().find(|(n, _)| n == name) {
             return texture.clone();
         }
-        let texture = Texture::open(&folder.join(name), tonemap);
+        let path = folder.join(name);
+        monitor.send(Event::File(path.clone()));
+        let texture = Texture::open(&path, tonemap);
         let texture = texture.map_err(|e| monitor.warn(format!("{e}; going on without this texture"))).ok();
         known.push((name.to_owned(), texture.clone()));
         texture

@@ -14,7 +14,7 @@ use super::support::*;
 const TOOLS: [&str; 5] = ["octbuild", "octrender", "octtrace", "octinfo", "octbench"];
 
 /// What is asked for, and what is asked for here; only the first that an example has is replaced.
-const LESS: [(&str, &str); 12] = [
+const LESS: [(&str, &str); 13] = [
     ("octbench accuracy --rays 1e5", "octbench accuracy --families 1,2 --rays 1e2"),
     ("octbench accuracy --rays 1e6", "octbench accuracy --families 1,2 --rays 1e2"),
     ("octbench accuracy --model bunny.obj --rays 1e6", "octbench accuracy --model bunny.obj --rays 1e2"),
@@ -27,6 +27,8 @@ const LESS: [(&str, &str); 12] = [
     ("--size 1920x1080 --samples 16", "--size 48x27 --samples 1"),
     ("--samples 64", "--samples 4"),
     ("--repeat 9", "--repeat 2"),
+    // It would go on until Ctrl-C.
+    ("--watch --preview 2", "--preview 2"),
 ];
 
 /// Lines of the `sh` blocks of a Markdown page that run a tool, without what a reader has not got (other tracers).

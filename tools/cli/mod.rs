@@ -16,6 +16,7 @@ pub mod reading;
 pub mod stats;
 
 use std::process::ExitCode;
+use std::sync::atomic::AtomicBool;
 
 use clap::{CommandFactory, FromArgMatches};
 use octrace::{Error, Event, Monitor};
@@ -29,12 +30,18 @@ pub const CHECK_FAILED: u8 = 1;
 pub struct Session<'a> {
     reporter: &'a Reporter,
     sink: &'a (dyn Fn(Event) + Sync),
+    stop: &'a AtomicBool,
 }
 
 impl<'a> Session<'a> {
     /// Where the library sends events to, and what tells it to stop.
     pub fn monitor(&self) -> Monitor<'a> {
-        Monitor::new(self.sink, interrupt::flag())
+        Monitor::new(self.sink, self.stop)
+    }
+
+    /// The same with another place for the library's events, and another wish to stop than Ctrl-C's.
+    pub fn with<'b>(&'b self, sink: &'b (dyn Fn(Event) + Sync), stop: &'b AtomicBool) -> Session<'b> {
+        Session { reporter: self.reporter, sink, stop }
     }
 
     /// Takes the progress bar away, so that standard output and error are free for results.
@@ -73,7 +80,7 @@ pub fn run<A: Arguments>(body: impl FnOnce(&A, &Session<'_>) -> Result<ExitCode,
     let parsed = A::from_arg_matches(&matches).unwrap_or_else(|e| e.format(&mut A::command()).exit());
     let reporter = Reporter::new(&name, parsed.common().quiet);
     let sink = |event| reporter.show(event);
-    let session = Session { reporter: &reporter, sink: &sink };
+    let session = Session { reporter: &reporter, sink: &sink, stop: interrupt::flag() };
     let result = interrupt::listen().and_then(|()| args::use_threads(parsed.common().threads));
     let result = result.and_then(|()| body(&parsed, &session));
     session.finish();

@@ -1,10 +1,16 @@
 //! octrender: draws a scene, an octree file or an OBJ file.
 
 mod aovs;
+mod assemble;
 #[path = "../cli/mod.rs"]
 mod cli;
+#[cfg(feature = "display")]
+mod display;
+mod live;
 mod place;
+mod shard;
 mod statistics;
+mod watch;
 
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
@@ -15,7 +21,7 @@ use octrace::build::BuildOptions;
 use octrace::map::{Octree, Read};
 use octrace::mesh::ReadOptions;
 use octrace::output::{self, Format};
-use octrace::render::{self, Picture, Plan, Settings};
+use octrace::render::{self, Picture, Plan, Settings, Share, Statistics, Tile};
 use octrace::scene::{LoadOptions, MeshFile, Scene};
 use octrace::shade::World;
 use octrace::{Error, Result, find_or_build};
@@ -24,6 +30,7 @@ use aovs::AovFile;
 use cli::args::{Common, StatsFile};
 use cli::reading::{self, Reading};
 use cli::{Arguments, Session};
+use live::{Live, Shown};
 use place::{InputKind, Place};
 use statistics::Stats;
 
@@ -32,11 +39,12 @@ use statistics::Stats;
 #[command(name = "octrender", version, after_help = EXAMPLES)]
 struct Args {
     /// What to draw: a scene file (`-`: standard input), an octree file, or an OBJ file
-    #[arg(value_name = "SCENE.txt|MODEL.oct|MODEL.obj")]
-    input: PathBuf,
+    #[arg(value_name = "SCENE.txt|MODEL.oct|MODEL.obj", required_unless_present = "assemble")]
+    input: Option<PathBuf>,
     /// The picture: PNG, EXR, HDR and others by suffix
     ///
-    /// `-` is PNG on standard output. Not given: what the scene says, or the input's name with .png.
+    /// `-` is PNG on standard output. Not given: what the scene says, or the input's name with .png. With --shard it is the part, or
+    /// a folder for it.
     #[arg(short, long, value_name = "IMAGE")]
     output: Option<PathBuf>,
     /// Leave out what is wrong in scene or mesh, and warn of it, instead of stopping there
@@ -44,6 +52,10 @@ struct Args {
     lenient: bool,
     #[command(flatten)]
     picture: PictureArgs,
+    #[command(flatten)]
+    live: Live,
+    #[command(flatten)]
+    farm: Farm,
     #[command(flatten)]
     reading: Reading,
     #[command(flatten)]
@@ -82,6 +94,25 @@ struct PictureArgs {
     lod: Option<f64>,
 }
 
+/// One picture by several machines.
+#[derive(clap::Args)]
+#[command(next_help_heading = "Several machines")]
+struct Farm {
+    /// Draw share I of N, counted from 0, into a part of the picture
+    ///
+    /// The part is NAME.part-I-of-N.exr. auto/N takes I, and auto takes both, from what the scheduler says: SLURM_ARRAY_TASK_ID and its
+    /// like in an array of Slurm, or JOB_COMPLETION_INDEX in an indexed job of Kubernetes, which needs auto/N.
+    #[arg(long, value_name = "I/N|auto/N|auto", value_parser = shard::parse, conflicts_with = "aov")]
+    shard: Option<shard::Wish>,
+    /// Put the parts of a picture together; the same bytes as drawn by one machine
+    #[arg(long, value_name = "PART", num_args = 1.., requires = "output", conflicts_with_all = ALONE)]
+    assemble: Vec<PathBuf>,
+}
+
+/// What makes no sense where nothing is drawn.
+const ALONE: [&str; 11] =
+    ["input", "lenient", "size", "samples", "depth", "crop", "aov", "lod", "shard", "memory", "stats"];
+
 /// An error in pixels: 0 or more.
 fn pixel_error(text: &str) -> std::result::Result<f64, String> {
     let number = text.parse::<f64>().ok().filter(|x| *x >= 0.0 && x.is_finite());
@@ -100,6 +131,10 @@ Examples:
   octrender planet.oct --lod 1                        far away: nodes under a pixel stand for their triangles
   octrender scene.txt --crop 400,300,500,400 --samples 64 -o detail.png
   octrender scene.txt --aov depth=depth.exr --aov cost=cost.png
+  octrender scene.txt --watch --preview 2             again whenever a file of it changes; what is done, every 2 s
+  octrender scene.txt --shard 0/2                     the first of two shares: scene.part-0-of-2.exr
+  octrender scene.txt --shard 1/2
+  octrender --assemble scene.part-*-of-2.exr -o scene.png
 
 Files:
   MODEL.obj.cache.oct  the octree file of MODEL.obj, beside it or, where that cannot be written, in the user's cache folder
@@ -117,12 +152,57 @@ fn main() -> ExitCode {
 }
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
-    let scene = load(args, session)?;
-    let place = Place::choose(args.output.as_deref(), scene.output.as_deref(), &args.input)?;
-    if place == Place::Stdout {
-        args.stats.not_stdout("the picture")?;
+    let Some(input) = &args.input else {
+        assemble::assemble(&args.farm.assemble, args.output.as_deref(), session)?;
+        return Ok(ExitCode::SUCCESS);
+    };
+    if !args.live.watch {
+        return draw(args, input, session);
     }
-    aovs::check(&args.picture.aov, &place, &args.input)?;
+    if cli::args::is_stdio(input) || args.output.as_deref().is_some_and(cli::args::is_stdio) {
+        return Err(Error::Option("--watch draws from files into files, not by standard input or output".into()));
+    }
+    watch::watch(input, session, |session| draw(args, input, session))
+}
+
+/// What is drawn, and where it goes.
+enum Goal {
+    Whole(Place),
+    Share(Share, PathBuf),
+}
+
+impl Goal {
+    fn choose(args: &Args, input: &Path, scene: &Scene) -> Result<Goal> {
+        let (wish, said) = (args.output.as_deref(), scene.output.as_deref());
+        let goal = match args.farm.shard {
+            None => Goal::Whole(Place::choose(wish, said, input)?),
+            Some(shard) => {
+                let share = shard.share()?;
+                Goal::Share(share, shard::place(wish, said, input, share)?)
+            }
+        };
+        if matches!(goal, Goal::Whole(Place::Stdout)) {
+            args.stats.not_stdout("the picture")?;
+            if args.live.preview.is_some() {
+                return Err(Error::Option("--preview renews a file; standard output cannot be renewed".into()));
+            }
+        }
+        Ok(goal)
+    }
+
+    fn place(&self) -> Place {
+        match self {
+            Goal::Whole(place) => place.clone(),
+            Goal::Share(_, path) => Place::File(path.clone()),
+        }
+    }
+}
+
+fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
+    let scene = load(input, args, session)?;
+    let goal = Goal::choose(args, input, &scene)?;
+    let place = goal.place();
+    aovs::check(&args.picture.aov, &place, input)?;
     let tonemap = scene.tonemap;
     let paths = scene.meshes.iter().map(|mesh| find(mesh, args, session)).collect::<Result<Vec<_>>>()?;
     let headers = paths.iter().map(|path| Octree::header_of(path)).collect::<Result<Vec<_>>>()?;
@@ -132,34 +212,56 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     let lod = lod.filter(|pixels| *pixels > 0.0);
     let world = World::new(scene, meshes.clone(), session.monitor())?.with_lod(lod.unwrap_or(0.0))?;
     let mut settings = Settings { size, samples, depth, crop, ..Settings::default() };
+    let [width, height] = render::region(world.scene(), &settings)?;
     if let Some(memory) = bound {
-        let plan = plan(&world, &settings, aov.len(), lod.is_some(), memory, &meshes)?;
+        let shown = args.live.pixel_bytes() * u64::from(width) * u64::from(height);
+        let plan = plan(&world, &settings, aov.len(), lod.is_some(), shown, memory, &meshes)?;
         (settings.tile, settings.wave) = (plan.tile, plan.wave);
         for (path, header) in paths.iter().zip(&headers) {
             reading::warning(path, header, memory).into_iter().for_each(|text| session.monitor().warn(text));
         }
     }
     let before = cli::stats::cpu_seconds();
-    let picture = render::render(&world, &settings, session.monitor())?;
-    let trace_cpu_seconds = cli::stats::cpu_seconds() - before;
-    meshes.iter().try_for_each(|mesh| mesh.fault())?;
-    if !picture.complete {
-        return broken_off(&picture, &place, tonemap, session);
-    }
-    let stats = Stats::new(&picture, trace_cpu_seconds, &meshes, lod);
-    let mut drawn = Some((world, meshes));
-    if aov.is_empty() {
-        // What pages take is free for writing the picture.
-        drawn = None;
-    }
-    session.monitor().phase("write");
-    match &place {
-        Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
-        Place::File(path) => output::save(&picture.film, path, tonemap)?,
-    }
-    if let Some((world, _)) = &drawn {
-        aovs::write(aov, world, &settings, session)?;
-    }
+    let stats = |size, statistics: &Statistics, share| {
+        let trace_cpu_seconds = cli::stats::cpu_seconds() - before;
+        Stats::new(size, statistics, share, trace_cpu_seconds, &meshes, lod)
+    };
+    let shown = Shown { place: &place, size: [width, height], tonemap };
+    let monitor = session.monitor();
+    let stats = match &goal {
+        Goal::Share(share, path) => {
+            let draw =
+                |watcher: &(dyn Fn(Tile<'_>) + Sync)| render::render_share(&world, &settings, *share, watcher, monitor);
+            let (portion, statistics) = args.live.show(shown, monitor, draw)?;
+            meshes.iter().try_for_each(|mesh| mesh.fault())?;
+            monitor.phase("write");
+            output::save_part(&portion, path)?;
+            stats([width, height], &statistics, Some(*share))
+        }
+        Goal::Whole(_) => {
+            let draw = |watcher: &(dyn Fn(Tile<'_>) + Sync)| render::render_shown(&world, &settings, watcher, monitor);
+            let picture = args.live.show(shown, monitor, draw)?;
+            meshes.iter().try_for_each(|mesh| mesh.fault())?;
+            if !picture.complete {
+                return broken_off(&picture, &place, tonemap, args.live.watch, session);
+            }
+            let stats = stats([width, height], &picture.statistics, None);
+            let mut drawn = Some((world, meshes));
+            if aov.is_empty() {
+                // What pages take is free for writing the picture.
+                drawn = None;
+            }
+            monitor.phase("write");
+            match &place {
+                Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
+                Place::File(path) => output::save(&picture.film, path, tonemap)?,
+            }
+            if let Some((world, _)) = &drawn {
+                aovs::write(aov, world, &settings, session)?;
+            }
+            stats
+        }
+    };
     let stats = stats.finished();
     session.say(stats.line(&place));
     stats.lod_line().into_iter().for_each(|line| session.say(line));
@@ -168,11 +270,11 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
 }
 
 /// The scene that the input is, or that shows it.
-fn load(args: &Args, session: &Session<'_>) -> Result<Scene> {
-    match InputKind::of(&args.input) {
-        InputKind::Octree => Ok(Scene::for_mesh(&args.input, true)),
-        InputKind::Mesh => Ok(Scene::for_mesh(&args.input, false)),
-        InputKind::Scene => Scene::load(&args.input, LoadOptions { lenient: args.lenient }, session.monitor()),
+fn load(input: &Path, args: &Args, session: &Session<'_>) -> Result<Scene> {
+    match InputKind::of(input) {
+        InputKind::Octree => Ok(Scene::for_mesh(input, true)),
+        InputKind::Mesh => Ok(Scene::for_mesh(input, false)),
+        InputKind::Scene => Scene::load(input, LoadOptions { lenient: args.lenient }, session.monitor()),
     }
 }
 
@@ -193,12 +295,13 @@ fn open(path: &Path, budgeted: bool) -> Result<Arc<Octree>> {
 }
 
 /// Shares the memory that is left out among waves of rays and the pages of all meshes. Each of the pictures of data takes its part too, and
-/// what there is for level of detail, if that is asked for.
+/// what there is for level of detail, if that is asked for, and what shows the picture meanwhile (`shown` bytes).
 fn plan(
     world: &World,
     settings: &Settings,
     aovs: usize,
     lod: bool,
+    shown: u64,
     memory: u64,
     meshes: &[Arc<Octree>],
 ) -> Result<Plan> {
@@ -206,7 +309,8 @@ fn plan(
     let leasts = meshes.iter().map(|mesh| Octree::least_cache(mesh.path())).collect::<Result<Vec<_>>>()?;
     let least = leasts.iter().sum::<u64>();
     let plan_for = |memory| Plan::new(world.scene(), settings, aovs, rayon::current_num_threads(), memory, least);
-    let beside: u64 = if lod { meshes.iter().map(|mesh| mesh.detail_bytes()).sum() } else { 0 };
+    let detail: u64 = if lod { meshes.iter().map(|mesh| mesh.detail_bytes()).sum() } else { 0 };
+    let beside = detail + shown;
     let memory = memory.saturating_sub(beside);
     let plan = match reading::left_of(memory, &headers) {
         Err(taken) => Err(taken + plan_for(0)?.err().unwrap_or(0)),
@@ -228,9 +332,11 @@ fn broken_off(
     picture: &Picture,
     place: &Place,
     tonemap: octrace::scene::ToneMap,
+    again: bool,
     session: &Session<'_>,
 ) -> Result<ExitCode> {
-    if let Some(partial) = place.partial() {
+    // What is drawn again and again is of no use half done.
+    if let Some(partial) = place.partial().filter(|_| !again) {
         output::save(&picture.film, &partial, tonemap)?;
         session.say(format!("wrote what was done so far to {}", partial.display()));
     }

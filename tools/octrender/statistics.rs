@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use indicatif::{BinaryBytes, HumanCount};
 use octrace::map::Octree;
-use octrace::render::Picture;
+use octrace::render::{Share, Statistics};
 use serde::Serialize;
 
 use crate::cli::stats::{self, Pages};
@@ -16,6 +16,8 @@ pub struct Stats {
     schema: u32,
     width: u32,
     height: u32,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    share: Option<Part>,
     rays: Rays,
     seconds: f64,
     trace_seconds: f64,
@@ -26,6 +28,14 @@ pub struct Stats {
     #[serde(skip_serializing_if = "Option::is_none")]
     lod: Option<Lod>,
     peak_rss_bytes: u64,
+}
+
+/// A share of the picture, where only that was drawn.
+#[derive(Serialize)]
+struct Part {
+    index: u32,
+    of: u32,
+    tiles: u64,
 }
 
 #[derive(Serialize)]
@@ -52,13 +62,21 @@ struct Lod {
 }
 
 impl Stats {
-    /// The statistics of a picture of these meshes.
-    pub fn new(picture: &Picture, trace_cpu_seconds: f64, meshes: &[Arc<Octree>], lod: Option<f64>) -> Stats {
-        let (s, rays) = (picture.statistics, picture.statistics.rays);
+    /// The statistics of a picture of these meshes, or of a share of it.
+    pub fn new(
+        [width, height]: [u32; 2],
+        s: &Statistics,
+        share: Option<Share>,
+        trace_cpu_seconds: f64,
+        meshes: &[Arc<Octree>],
+        lod: Option<f64>,
+    ) -> Stats {
+        let rays = s.rays;
         Stats {
             schema: stats::SCHEMA,
-            width: picture.film.width(),
-            height: picture.film.height(),
+            width,
+            height,
+            share: share.map(|share| Part { index: share.index(), of: share.of(), tiles: s.tiles }),
             rays: Rays { primary: rays.primary, shadow: rays.shadow, mirror: rays.mirror, refracted: rays.refracted },
             seconds: s.seconds,
             trace_seconds: s.trace_seconds,
@@ -96,8 +114,12 @@ impl Stats {
     pub fn line(&self, place: &Place) -> String {
         let Rays { primary, shadow, mirror, refracted } = self.rays;
         let (rays, pages) = (HumanCount(primary + shadow + mirror + refracted), self.pages.line());
-        let Stats { width, height, seconds, peak_rss_bytes, .. } = self;
+        let Stats { width, height, share, seconds, peak_rss_bytes, .. } = self;
         let memory = BinaryBytes(*peak_rss_bytes);
-        format!("{place}: {width} x {height} pixels, {rays} rays, {seconds:.2} s; {pages}; {memory} of memory at most")
+        let share = share.as_ref().map(|Part { index, of, tiles }| format!("share {index} of {of} ({tiles} tiles), "));
+        let share = share.unwrap_or_default();
+        format!(
+            "{place}: {width} x {height} pixels, {share}{rays} rays, {seconds:.2} s; {pages}; {memory} of memory at most"
+        )
     }
 }

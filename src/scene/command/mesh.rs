@@ -43,6 +43,7 @@ pub(super) fn oct(state: &mut State, args: &mut Args) -> Step<()> {
 pub(super) fn include(state: &mut State, args: &mut Args) -> Step<()> {
     let word = args.file()?;
     let path = state.folder.join(word.text);
+    state.named.push(path.clone());
     let problem = |what: String| Problem::new(word.span.clone(), what);
     let canonical = check_readable(&path).map_err(|why| missing(word, &path, &why, RELATIVE.into()))?;
     if let Some(at) = state.including.iter().position(|file| file.canonical == canonical) {
@@ -65,6 +66,7 @@ fn has_suffix(name: &str, suffix: &str) -> bool {
 /// Places the mesh file that `word` names; a file named twice is listed once.
 fn place_mesh(state: &mut State, word: &Word, built: bool) -> Step<()> {
     let path = state.folder.join(word.text);
+    state.named.push(path.clone());
     let canonical = check_readable(&path).map_err(|why| {
         let quote = if word.quoted { "\"" } else { "" };
         let build = format!("build it first: `octbuild MESH.obj -o {quote}{}{quote}`", word.text);

@@ -1,0 +1,390 @@
+//! Shares of a picture as files, which travel from machine to machine: OpenEXR, f32, ZIP.
+//!
+//! The tiles of a share lie side by side, in rows of about as many as there are rows, in the order of the curve; the room of tiles
+//! that are cut at the picture's edge is zero. The text attribute `octracePart` holds a JSON object that says which tiles
+//! these are, of which share and picture, and a checksum of it all.
+//!
+//! A part may have been written by anybody: what it says of itself is held to what its share must have before memory is taken for its pixels,
+//! and its checksum to them after.
+
+use std::cell::Cell;
+use std::fs::File;
+use std::io::{self, BufReader, Cursor, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+use bytemuck::cast_slice;
+use exr::block::reader::Reader;
+use exr::meta::attribute::{AttributeValue, SampleType, Text};
+use exr::meta::header::Header;
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, ReadChannels, ReadLayers,
+    WritableImage,
+};
+use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::Xxh3;
+
+use super::write;
+use crate::error::{Error, Result};
+use crate::render::{Identity, Portion, Share, Tiling};
+use crate::scene::ToneMap;
+
+/// The attribute that makes an EXR file a part.
+const ATTRIBUTE: &str = "octracePart";
+/// The version of what it says.
+const VERSION: u32 = 1;
+/// Most bytes before the pixels.
+const MOST_HEAD: u64 = 8 << 20;
+/// ZIP packs no tighter than 1:1032; the rest is for tables.
+const TIGHTEST: u64 = 1100;
+/// In the order of the alphabet, as EXR wants it, and where each stands in a pixel.
+const CHANNELS: [(&str, usize); 3] = [("B", 2), ("G", 1), ("R", 0)];
+
+/// What the attribute says.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct Said {
+    part: u32,
+    octrace: String,
+    /// Hexadecimal, as the checksum.
+    scene: String,
+    size: [u32; 2],
+    crop: [u32; 4],
+    samples: u32,
+    depth: u32,
+    tonemap: String,
+    share: u32,
+    of: u32,
+    /// Side of a tile.
+    tile: u32,
+    /// Where the tiles stand along the curve.
+    tiles: Vec<u32>,
+    /// Of all before, and of the pixels.
+    checksum: String,
+}
+
+/// A part whose beginning was read and holds.
+#[derive(Clone, Debug)]
+pub struct Part {
+    /// Where it lies.
+    pub path: PathBuf,
+    /// The picture that it belongs to.
+    pub identity: Identity,
+    /// Which share it is.
+    pub share: Share,
+    said: Said,
+    tiling: Tiling,
+}
+
+/// Where the tiles lie in a part.
+struct Sheet {
+    columns: usize,
+    size: [usize; 2],
+}
+
+impl Sheet {
+    fn of(tiling: &Tiling) -> Sheet {
+        let (count, side) = (tiling.cells.len(), tiling.side as usize);
+        let columns = count.isqrt().max(1);
+        Sheet { columns, size: [columns * side, count.div_ceil(columns) * side] }
+    }
+
+    /// The index of each pixel of the tiles, tile after tile, rows from the top.
+    fn pixels(&self, tiling: &Tiling) -> impl Iterator<Item = usize> {
+        let (columns, width, side) = (self.columns, self.size[0], tiling.side as usize);
+        tiling.places().enumerate().flat_map(move |(i, [x0, y0, x1, y1])| {
+            let corner = (i / columns * side) * width + i % columns * side;
+            (0..(y1 - y0) as usize).flat_map(move |y| (0..(x1 - x0) as usize).map(move |x| corner + y * width + x))
+        })
+    }
+}
+
+impl Said {
+    fn of(portion: &Portion, tiling: &Tiling) -> Said {
+        let id = &portion.identity;
+        let mut said = Said {
+            part: VERSION,
+            octrace: id.version.clone(),
+            scene: format!("{:016x}", id.scene),
+            size: id.whole,
+            crop: id.crop,
+            samples: id.samples,
+            depth: id.depth,
+            tonemap: name(id.tonemap).to_owned(),
+            share: portion.share.index(),
+            of: portion.share.of(),
+            tile: tiling.side,
+            tiles: tiling.numbers.clone(),
+            checksum: String::new(),
+        };
+        said.checksum = said.checksum_with(&portion.pixels);
+        said
+    }
+
+    /// What the checksum has to be.
+    fn checksum_with(&self, pixels: &[[f32; 3]]) -> String {
+        let mut hash = Xxh3::new();
+        let blank = Said { checksum: String::new(), ..self.clone() };
+        // Numbers, texts and lists of these are always JSON.
+        hash.update(&serde_json::to_vec(&blank).unwrap_or_default());
+        hash.update(cast_slice(pixels));
+        format!("{:016x}", hash.digest())
+    }
+
+    /// The picture, the share, and its tiles, if they make sense together; else what does not.
+    fn resolve(&self) -> Result<(Identity, Share, Tiling), String> {
+        if self.part != VERSION {
+            return Err(format!("it is a part of version {}, and this program reads version {VERSION}", self.part));
+        }
+        let [width, height] = self.size;
+        let [x0, y0, x1, y1] = self.crop;
+        if x0 >= x1 || y0 >= y1 || x1 > width || y1 > height || width.max(height) > 65_536 {
+            return Err(format!("it is of no picture: {width} x {height} pixels, of these {:?}", self.crop));
+        }
+        let tonemap = [ToneMap::None, ToneMap::Srgb].into_iter().find(|t| name(*t) == self.tonemap);
+        let tonemap = tonemap.ok_or_else(|| format!("tone mapping `{}` is not known", self.tonemap))?;
+        let scene = u64::from_str_radix(&self.scene, 16).map_err(|_| "its scene is no hash".to_owned())?;
+        let identity = Identity {
+            version: self.octrace.clone(),
+            scene,
+            whole: self.size,
+            crop: self.crop,
+            samples: self.samples,
+            depth: self.depth,
+            tonemap,
+        };
+        let share = Share::new(self.share, self.of).map_err(|e| e.to_string())?;
+        let tiling = Tiling::new(identity.size(), share).map_err(|e| e.to_string())?;
+        if tiling.side != self.tile || tiling.numbers != self.tiles {
+            return Err(format!("its tiles are not those of share {share}"));
+        }
+        Ok((identity, share, tiling))
+    }
+}
+
+fn name(tonemap: ToneMap) -> &'static str {
+    match tonemap {
+        ToneMap::None => "none",
+        ToneMap::Srgb => "srgb",
+    }
+}
+
+/// Writes a share as a part; it appears whole or not at all.
+///
+/// Fails where the file cannot be written, and for a portion whose pixels are not those of its share.
+pub fn save_part(portion: &Portion, path: &Path) -> Result<()> {
+    write(&encode_part(portion)?, path)
+}
+
+/// A part's bytes.
+pub fn encode_part(portion: &Portion) -> Result<Vec<u8>> {
+    let tiling = Tiling::new(portion.identity.size(), portion.share)?;
+    if portion.pixels.len() != tiling.pixels() {
+        return Err(Error::Option(format!("share {} has other pixels than its tiles", portion.share)));
+    }
+    let failed = |e: &dyn std::fmt::Display| Error::Option(format!("share {} as EXR: {e}", portion.share));
+    let said = Said::of(portion, &tiling);
+    let sheet = Sheet::of(&tiling);
+    let [width, height] = sheet.size;
+    let channel = |(name, axis): (&str, usize)| {
+        let mut samples = vec![0.0; width * height];
+        sheet.pixels(&tiling).zip(&portion.pixels).for_each(|(at, pixel)| samples[at] = pixel[axis]);
+        AnyChannel::new(name, FlatSamples::F32(samples))
+    };
+    let text = serde_json::to_string(&said).map_err(|e| failed(&e))?;
+    let mut attributes = LayerAttributes::default();
+    attributes.other.insert(Text::from(ATTRIBUTE), AttributeValue::Text(Text::from(text.as_str())));
+    let channels = AnyChannels::sort(CHANNELS.into_iter().map(channel).collect());
+    let mut bytes = Cursor::new(Vec::new());
+    let layer = Layer::new((width, height), attributes, Encoding::SMALL_LOSSLESS, channels);
+    Image::from_layer(layer).write().non_parallel().to_buffered(&mut bytes).map_err(|e| failed(&e))?;
+    Ok(bytes.into_inner())
+}
+
+impl Part {
+    /// Reads the beginning of a part.
+    ///
+    /// Fails if it cannot be read, or does not hold together: then it has to be made again.
+    pub fn open(path: &Path) -> Result<Part> {
+        Ok(begin(path)?.0)
+    }
+
+    /// Reads its pixels.
+    pub fn read(&self) -> Result<Portion> {
+        let wrong = |what: &str| damaged(&self.path, what);
+        let (again, reader) = begin(&self.path)?;
+        if again.said != self.said {
+            return Err(wrong("it has been written again meanwhile"));
+        }
+        let layers = exr::prelude::read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
+        let image = layers.all_attributes().non_parallel().from_chunks(reader).map_err(|e| wrong(&e.to_string()))?;
+        let samples: Option<Vec<&[f32]>> = image
+            .layer_data
+            .channel_data
+            .list
+            .iter()
+            .map(|channel| match &channel.sample_data {
+                FlatSamples::F32(samples) => Some(samples.as_slice()),
+                _ => None,
+            })
+            .collect();
+        let Some(&[blue, green, red]) = samples.as_deref() else { return Err(wrong("its channels are not f32")) };
+        let sheet = Sheet::of(&self.tiling);
+        let pixels: Vec<[f32; 3]> = sheet.pixels(&self.tiling).map(|at| [red[at], green[at], blue[at]]).collect();
+        if self.said.checksum_with(&pixels) != self.said.checksum {
+            return Err(wrong("its checksum is wrong"));
+        }
+        Ok(Portion { identity: self.identity.clone(), share: self.share, pixels })
+    }
+}
+
+/// A part that cannot be used, and what to do about it.
+fn damaged(path: &Path, what: &str) -> Error {
+    Error::Input { file: path.to_owned(), what: format!("no part that can be used: {what}; make this share again") }
+}
+
+/// Reads a part up to its pixels, and sees whether these can be as it says.
+fn begin(path: &Path) -> Result<(Part, Reader<BufReader<Limited>>)> {
+    let wrong = |what: &str| damaged(path, what);
+    let file = File::open(path).map_err(Error::io(path, "open"))?;
+    let metadata = file.metadata().map_err(Error::io(path, "open"))?;
+    if !metadata.is_file() {
+        return Err(wrong("it is not a file"));
+    }
+    let left = Rc::new(Cell::new(MOST_HEAD));
+    let limited = Limited { file, left: left.clone() };
+    let reader = exr::block::read(BufReader::new(limited), false).map_err(|e| wrong(&e.to_string()))?;
+    let [header] = reader.headers() else { return Err(wrong("it has several layers")) };
+    let text = header.own_attributes.other.get(&Text::from(ATTRIBUTE));
+    let Some(AttributeValue::Text(text)) = text else {
+        return Err(wrong("it is a picture, but no part: it was not made with --shard"));
+    };
+    let said: Said = serde_json::from_str(&text.to_string()).map_err(|e| wrong(&format!("{ATTRIBUTE}: {e}")))?;
+    let (identity, share, tiling) = said.resolve().map_err(|what| wrong(&what))?;
+    let size = Sheet::of(&tiling).size;
+    if !fits(header, size) {
+        return Err(wrong("its size and channels are not those of its share"));
+    }
+    if metadata.len().saturating_mul(TIGHTEST) < 12 * size[0] as u64 * size[1] as u64 {
+        return Err(wrong("it is cut short"));
+    }
+    left.set(u64::MAX);
+    Ok((Part { path: path.to_owned(), identity, share, said, tiling }, reader))
+}
+
+/// Whether a header is that of a part with a sheet of this size.
+fn fits(header: &Header, size: [usize; 2]) -> bool {
+    let channels = &header.channels.list;
+    let right = |(channel, (name, _)): (&exr::meta::attribute::ChannelDescription, (&str, usize))| {
+        channel.name == *name && channel.sample_type == SampleType::F32 && channel.sampling.area() == 1
+    };
+    let one_level = header.blocks == exr::meta::BlockDescription::ScanLines && !header.deep;
+    [header.layer_size.x(), header.layer_size.y()] == size
+        && one_level
+        && channels.len() == CHANNELS.len()
+        && channels.iter().zip(CHANNELS).all(right)
+}
+
+/// A file of which no more than so many bytes are read.
+struct Limited {
+    file: File,
+    left: Rc<Cell<u64>>,
+}
+
+impl Read for Limited {
+    fn read(&mut self, to: &mut [u8]) -> io::Result<usize> {
+        let count = self.file.read(to)?;
+        let left = self.left.get().checked_sub(count as u64);
+        self.left.set(left.ok_or_else(|| io::Error::other("too much before the pixels"))?);
+        Ok(count)
+    }
+}
+
+impl Seek for Limited {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn portion(size: [u32; 2], index: u32, of: u32) -> Portion {
+        let share = Share::new(index, of).unwrap();
+        let identity = Identity {
+            version: "0".into(),
+            scene: 0xfeed,
+            whole: [size[0] + 3, size[1] + 1],
+            crop: [2, 1, size[0] + 2, size[1] + 1],
+            samples: 4,
+            depth: 7,
+            tonemap: ToneMap::Srgb,
+        };
+        let count = Tiling::new(size, share).unwrap().pixels();
+        let value = |i: usize| (i as f32 * 0.37).sin() * 1e3 + 1e-30;
+        let pixels = (0..count).map(|i| [value(i), -value(2 * i), f32::from_bits(i as u32)]).collect();
+        Portion { identity, share, pixels }
+    }
+
+    #[test]
+    fn parts_read_back_bit_for_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        for (size, of) in [([64, 48], 5), ([1, 1], 1), ([100, 37], 3)] {
+            for index in 0..of {
+                let portion = portion(size, index, of);
+                let path = folder.path().join("part.exr");
+                save_part(&portion, &path).unwrap();
+                let part = Part::open(&path).unwrap();
+                assert_eq!((&part.identity, part.share), (&portion.identity, portion.share));
+                assert_eq!(part.read().unwrap(), portion);
+            }
+        }
+    }
+
+    #[test]
+    fn hostile_parts_are_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("part.exr");
+        let good = encode_part(&portion([64, 48], 1, 4)).unwrap();
+        let read = |bytes: &[u8]| {
+            std::fs::write(&path, bytes).unwrap();
+            Part::open(&path).and_then(|part| part.read())
+        };
+        read(&good).unwrap();
+        // A change to any byte that says something is seen. Whatever is said, it is an error and no panic.
+        let mut taken = 0;
+        for at in (0..good.len()).step_by(7) {
+            for bit in [0x01, 0x80] {
+                let mut bytes = good.clone();
+                bytes[at] ^= bit;
+                match read(&bytes) {
+                    Ok(portion) => {
+                        assert!(portion == super::tests::portion([64, 48], 1, 4), "byte {at}");
+                        taken += 1;
+                    }
+                    Err(error) => assert!(error.to_string().contains("part.exr"), "{error}"),
+                }
+            }
+        }
+        assert!(taken < good.len() / 7, "{taken} of {}", good.len() / 7);
+        for length in [0, 3, 50, good.len() / 2, good.len() - 1] {
+            assert!(read(&good[..length]).is_err(), "{length}");
+        }
+        let error = |what: &str, with: &str| {
+            let at = good.windows(what.len()).position(|w| w == what.as_bytes()).unwrap();
+            let mut bytes = good.clone();
+            bytes[at..at + with.len()].copy_from_slice(with.as_bytes());
+            read(&bytes).unwrap_err().to_string()
+        };
+        assert!(error("\"part\":1", "\"part\":2").contains("version 2"));
+        assert!(error("\"share\":1", "\"share\":2").contains("tiles are not those of share 2/4"));
+        assert!(error("\"size\":[67,49]", "\"size\":[67,4] ").contains("no picture"));
+        assert!(error("\"samples\":4", "\"samples\":9").contains("checksum"));
+        assert!(error(ATTRIBUTE, "octracePast").contains("no part"));
+        // A few bytes that claim a whole wall of pixels.
+        let claims = error("\"size\":[67,49],\"crop\":[2,1,66,49]", "\"size\":[67,49],\"crop\":[0,0,67,49]");
+        assert!(claims.contains("share"), "{claims}");
+        assert!(Part::open(folder.path()).is_err() && Part::open(&folder.path().join("none.exr")).is_err());
+    }
+}
