@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::error::Result;
 use crate::event::Monitor;
 
-use super::grid::{CellCode, Grid, Placement, Unit, merge, places};
+use super::grid::{CellCode, Grid, Placement, Unit, UnitFinder, merge, places};
 use super::options::Tuning;
 use super::record::Layout;
 use super::spool::Spool;
@@ -144,6 +144,7 @@ impl Sorting<'_> {
     fn sorted(self, part: &[u32], layout: Layout, cell: CellCode, units: &[Unit], chunk_of: &[u32]) -> Sorted {
         let words = layout.words();
         let mut goals: Vec<(u32, u32)> = Vec::with_capacity(part.len() / words);
+        let mut finder = UnitFinder::new(units);
         for (number, record) in (0..).zip(part.chunks_exact(words)) {
             if self.placement.repeats() {
                 let triangle = layout.triangle(record);
@@ -156,7 +157,7 @@ impl Sorting<'_> {
                 });
             } else {
                 let code = cell_of(self.placement.root, layout.bounds(record));
-                goals.push((chunk_of[units.partition_point(|unit| unit.cell.end() <= code)], number));
+                goals.push((chunk_of[finder.place(code)], number));
             }
         }
         goals.sort_unstable();

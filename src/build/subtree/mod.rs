@@ -121,8 +121,7 @@ pub fn build_subtree_within(
     assert!(u32::try_from(triangles.len()).is_ok(), "a brick has fewer than 2^32 triangles");
     assert!(parts.is_empty() || options.split == SplitMode::Sah, "only splits by surface know parts of triangles");
     assert!(parts.is_empty() || parts.len() == triangles.len(), "all triangles have a part, or none has");
-    let sorted = sort(triangles, root);
-    let mut order: Vec<u32> = sorted.iter().map(|key| key.index).collect();
+    let (mut order, codes) = sort(triangles, root);
     let parts = sah::Part::list(triangles, parts, &mut order);
     let canonical = sah::Canonical { triangles, order: &order, parts: &parts };
     let limits = record::RecordLimits::new(options.leaf, options.unit);
@@ -130,18 +129,17 @@ pub fn build_subtree_within(
     let limit = options.cell.max(1);
     let tree = match options.split {
         SplitMode::Sah => {
-            drop(sorted);
+            drop(codes);
             collapse::collapse(&choice::best_tree(canonical, limits, options.repeats), &order, root)
         }
         SplitMode::Octree => {
-            let codes: Vec<u64> = sorted.iter().map(|key| key.code).collect();
-            drop(sorted);
+            let codes: Vec<u64> = order.iter().map(|&number| codes[number as usize]).collect();
             let builder =
                 octree::OctreeBuilder { triangles: canonical, codes: &codes, root, limits, cell: limit, depth };
             builder.build(cell.level)
         }
         SplitMode::Strict => {
-            drop(sorted);
+            drop(codes);
             strict::StrictBuilder { triangles: canonical, root, limits, cell: limit, depth, memory }.build(cell)?
         }
     };
@@ -160,25 +158,32 @@ pub fn build_subtree(
     build_subtree_within(triangles, parts, cell, root, options, u64::MAX).expect("there is no bound")
 }
 
-/// A triangle's place in the canonical order.
-#[derive(Clone, Copy)]
-struct Key {
-    code: u64,
-    face: u32,
-    index: u32,
-}
-
-/// The triangles by Morton code, then face; by their bits where even that is the same.
-fn sort(triangles: &[BrickTriangle], root: RootCube) -> Vec<Key> {
-    let key = |(index, t): (usize, &BrickTriangle)| Key {
-        code: cell_of(root, Aabb::from(&t.triangle)),
-        face: t.face,
-        index: index as u32,
+/// The numbers of the triangles in canonical order: by Morton code, then face; by their bits where even that is the same. And the
+/// codes, by number.
+fn sort(triangles: &[BrickTriangle], root: RootCube) -> (Vec<u32>, Vec<u64>) {
+    let codes: Vec<u64> = triangles.iter().map(|t| cell_of(root, Aabb::from(&t.triangle))).collect();
+    // Code and number in one word each. In a brick most leading bits of codes are the same, so that few of the last
+    // ones, if any, find no room; what is the same without those is put in order afterwards.
+    let differing = codes.iter().fold(0, |bits, code| bits | code ^ codes[0]);
+    let code_bits = u64::BITS - differing.leading_zeros();
+    let number_bits = usize::BITS - (triangles.len() - 1).leading_zeros();
+    let dropped = (code_bits + number_bits).saturating_sub(u64::BITS);
+    let leading = |code: u64| (code & ((1 << code_bits) - 1)) >> dropped << number_bits;
+    let mut keys: Vec<u64> = (0u64..).zip(&codes).map(|(number, &code)| leading(code) | number).collect();
+    keys.sort_unstable();
+    let mut order: Vec<u32> = keys.iter().map(|key| (key & ((1 << number_bits) - 1)) as u32).collect();
+    let corners = |t: &BrickTriangle| t.triangle.vertices().map(record::bits);
+    let compare = |a: &u32, b: &u32| {
+        let [(code, t), (other, u)] = [a, b].map(|&i| (codes[i as usize], &triangles[i as usize]));
+        (code, t.face).cmp(&(other, u.face)).then_with(|| corners(t).cmp(&corners(u))).then(a.cmp(b))
     };
-    let mut keys: Vec<Key> = triangles.iter().enumerate().map(key).collect();
-    let corners = |key: &Key| triangles[key.index as usize].triangle.vertices().map(record::bits);
-    keys.sort_unstable_by(|a, b| {
-        (a.code, a.face).cmp(&(b.code, b.face)).then_with(|| corners(a).cmp(&corners(b))).then(a.index.cmp(&b.index))
-    });
-    keys
+    let mut rest = &mut order[..];
+    for run in keys.chunk_by(|a, b| a >> number_bits == b >> number_bits) {
+        let (same, after) = std::mem::take(&mut rest).split_at_mut(run.len());
+        if same.len() > 1 {
+            same.sort_unstable_by(compare);
+        }
+        rest = after;
+    }
+    (order, codes)
 }
