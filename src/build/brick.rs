@@ -66,7 +66,7 @@ impl BrickBuilder<'_> {
         if self.options.lod {
             let material = |i: u32| self.layout.material(record(brick.records[i as usize])).unwrap_or(0);
             let color = |i: u32| self.colors.get((material(i) as usize).wrapping_sub(1)).copied().unwrap_or(Vec3::ONE);
-            side.surrogates = surrogates(&subtree, &triangles, self.root, self.unit, color);
+            side.surrogates = surrogates(&subtree, self.root, self.unit, color);
         }
         let Subtree { nodes, leaf_bytes, leaves, order, corner, unit, depth, bounds_root } = subtree;
         let references = order.len() as u32;

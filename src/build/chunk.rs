@@ -7,7 +7,7 @@ use rayon::prelude::*;
 
 use crate::geometry::{Triangle, morton};
 
-use super::grid::{CellCode, Placement, Unit, places};
+use super::grid::{CellCode, Placement, Unit, UnitFinder, places};
 use super::record::Layout;
 use super::subtree::{cell_of, overlaps};
 
@@ -63,10 +63,10 @@ impl Loaded<'_> {
         if let [Unit { cell: CellCode::ROOT, .. }] = units {
             return vec![(0..records).collect()];
         }
-        let mut lists = vec![Vec::new(); units.len()];
+        let (mut lists, mut finder) = (vec![Vec::new(); units.len()], UnitFinder::new(units));
         for record in 0..records {
             if let Some(&code) = self.codes.get(record as usize) {
-                lists[units.partition_point(|unit| unit.cell.end() <= code)].push(record);
+                lists[finder.place(code)].push(record);
             } else {
                 let triangle = self.triangle(record);
                 places(units, &triangle, CellCode::ROOT, self.rule.placement, |unit| lists[unit].push(record));

@@ -4,6 +4,7 @@
 //! A *chunk* is a run of units, one after the other on the Morton curve, that fit in memory together. Since every cell above a
 //! unit holds more than a chunk, and so more than a brick, may, bricks never reach across units.
 
+use std::ops::Range;
 use std::sync::atomic::{AtomicU32, Ordering};
 
 use crate::format::SplitMode;
@@ -168,6 +169,31 @@ pub(super) struct Unit {
     pub triangles: u64,
 }
 
+/// Finds the units (disjoint, in curve order) in which codes lie.
+pub(super) struct UnitFinder<'a> {
+    units: &'a [Unit],
+    /// The place of the one found last, and the codes in it.
+    last: usize,
+    codes: Range<u64>,
+}
+
+impl<'a> UnitFinder<'a> {
+    pub fn new(units: &'a [Unit]) -> Self {
+        UnitFinder { units, last: 0, codes: 0..0 }
+    }
+
+    /// The place of the first unit that does not end before `code`.
+    #[inline]
+    pub fn place(&mut self, code: u64) -> usize {
+        // Neighbours in a mesh's file are mostly neighbours in space.
+        if !self.codes.contains(&code) {
+            self.last = self.units.partition_point(|unit| unit.cell.end() <= code);
+            self.codes = self.units.get(self.last).map_or(0..0, |unit| unit.cell.first()..unit.cell.end());
+        }
+        self.last
+    }
+}
+
 /// Ends (exclusive) of the runs of units that make chunks of at most `limit` triangles; a unit beyond that is alone.
 pub(super) fn merge(units: &[Unit], limit: u64) -> Vec<usize> {
     let (mut ends, mut sum) = (Vec::new(), 0);
@@ -228,14 +254,14 @@ mod tests {
             triangles().iter().for_each(|t| grid.count(t, placement));
             let units = grid.units(10, placement);
             assert!(units.len() > 5 && units.windows(2).all(|pair| pair[0].cell.end() <= pair[1].cell.first()));
-            let mut counts = vec![0; units.len()];
+            let (mut counts, mut finder) = (vec![0; units.len()], UnitFinder::new(&units));
             for triangle in triangles() {
                 let before: u64 = counts.iter().sum();
                 if placement.repeats() {
                     places(&units, &triangle, CellCode::ROOT, placement, |unit| counts[unit] += 1);
                 } else {
                     let code = cell_of(placement.root, Aabb::from(&triangle));
-                    counts[units.partition_point(|unit| unit.cell.end() <= code)] += 1;
+                    counts[finder.place(code)] += 1;
                 }
                 assert!(counts.iter().sum::<u64>() > before);
             }

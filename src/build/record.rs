@@ -1,5 +1,7 @@
 //! Triangle records: what travels through the temporary files after the join.
 
+use glam::Vec3;
+
 use crate::geometry::{Aabb, Triangle};
 
 /// What a record holds; only what the mesh has.
@@ -46,8 +48,8 @@ impl Layout {
 
     /// Appends a record.
     pub fn write(self, record: &Record, out: &mut Vec<u32>) {
-        out.extend(record.corners.as_flattened().iter().map(|x| x.to_bits()));
-        out.push(record.id);
+        let [x, y, z, u, v, w, p, q, r] = bytemuck::cast::<_, [u32; 9]>(record.corners);
+        out.extend_from_slice(&[x, y, z, u, v, w, p, q, r, record.id]);
         if self.materials {
             out.push(record.material);
         }
@@ -61,8 +63,8 @@ impl Layout {
 
     /// The triangle of a record.
     pub fn triangle(self, record: &[u32]) -> Triangle {
-        let corner = |i: usize| [record[i], record[i + 1], record[i + 2]].map(f32::from_bits).into();
-        Triangle { a: corner(0), b: corner(3), c: corner(6) }
+        let [x, y, z, u, v, w, p, q, r, _] = record.first_chunk::<PLAIN>().expect("a whole record").map(f32::from_bits);
+        Triangle { a: Vec3::new(x, y, z), b: Vec3::new(u, v, w), c: Vec3::new(p, q, r) }
     }
 
     /// Appends what stands for a part of a triangle: `whole`, the record of the triangle in the layout without parts, and

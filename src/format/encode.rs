@@ -65,29 +65,50 @@ fn nibbles(numbers: &[u8; LEAF_MAX]) -> u64 {
     numbers.iter().rev().fold(0, |word, &i| word << 4 | u64::from(i))
 }
 
-/// The distinct vertices of up to 16 triangles, by their bits and in the order in which they first come.
-struct VertexTable {
+/// The distinct vertices of up to 16 triangles, by their bits (so -0 and 0 are two) and in the order in which they first come.
+pub struct VertexTable {
     bits: [[u32; 3]; 3 * LEAF_MAX],
     len: usize,
+    /// Open addressing: a vertex's number + 1, or 0. More than twice as many places as there may be vertices.
+    places: [u8; VertexTable::PLACES],
 }
 
 impl Default for VertexTable {
     fn default() -> Self {
-        VertexTable { bits: [[0; 3]; 3 * LEAF_MAX], len: 0 }
+        VertexTable { bits: [[0; 3]; 3 * LEAF_MAX], len: 0, places: [0; VertexTable::PLACES] }
     }
 }
 
 impl VertexTable {
+    const PLACES: usize = 128;
+
+    /// Adds a triangle's corners; how many vertices there are then. At most 16 triangles may be added.
+    #[inline]
+    pub fn add_triangle(&mut self, triangle: &Triangle) -> usize {
+        triangle.vertices().into_iter().for_each(|vertex| _ = self.number(vertex));
+        self.len
+    }
+
     /// The vertex's number; it is appended if it is new.
+    #[inline]
     fn number(&mut self, vertex: Vec3) -> u8 {
         let bits = vertex.to_array().map(f32::to_bits);
-        let found = self.bits[..self.len].iter().position(|b| *b == bits);
-        let number = found.unwrap_or_else(|| {
-            self.bits[self.len] = bits;
-            self.len += 1;
-            self.len - 1
-        });
-        number as u8
+        // Three products at a time, and the highest bits of their sum.
+        let [x, y, z] = bits;
+        let product = |bits: u32, factor: u32| (bits ^ bits >> 15).wrapping_mul(factor);
+        let mixed = product(x, 0x9e37_79b9).wrapping_add(product(y, 0x85eb_ca6b)).wrapping_add(product(z, 0xc2b2_ae35));
+        let mut place = (mixed >> 25) as usize % VertexTable::PLACES;
+        loop {
+            match self.places[place] {
+                0 => break,
+                next if self.bits[usize::from(next - 1)] == bits => return next - 1,
+                _ => place = (place + 1) % VertexTable::PLACES,
+            }
+        }
+        self.bits[self.len] = bits;
+        self.len += 1;
+        self.places[place] = self.len as u8;
+        self.len as u8 - 1
     }
 }
 

@@ -23,6 +23,7 @@ mod writer;
 
 pub use checksum::checksum;
 pub use coordinates::Coordinates;
+pub(crate) use encode::VertexTable;
 pub use encode::encode_leaf;
 pub use head::{Head, HeadView, validate_heads};
 pub use header::{Dropped, Flags, HEADER_BYTES, Header, MAGIC, Section, SectionKind, SplitMode, VERSION};

@@ -54,6 +54,6 @@ impl Aabb {
 
 impl From<&Triangle> for Aabb {
     fn from(t: &Triangle) -> Aabb {
-        Aabb::around(t.vertices())
+        Aabb { min: t.a.min(t.b).min(t.c), max: t.a.max(t.b).max(t.c) }
     }
 }

@@ -44,6 +44,11 @@ impl RootCube {
         // As good as dividing by the side, and far quicker: the inverse is a power of two as well, so both are exact.
         (p.as_dvec3() - self.corner) * exp2(-self.log2_side)
     }
+
+    /// One coordinate in root units, as [`RootCube::to_root_units`] has it. `axis` is 0, 1 or 2.
+    pub fn axis_to_root_units(self, axis: usize, x: f32) -> f64 {
+        (f64::from(x) - self.corner[axis]) * exp2(-self.log2_side)
+    }
 }
 
 /// 2^k as f64, exact for every k from -1022 to 1023.

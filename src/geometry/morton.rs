@@ -15,13 +15,24 @@ pub fn decode(code: u64) -> [u32; 3] {
 
 /// Spreads the low 21 bits of `x` to every third bit.
 fn spread(x: u32) -> u64 {
-    let mut x = u64::from(x) & 0x1f_ffff;
-    x = (x | x << 32) & 0x001f_0000_0000_ffff;
-    x = (x | x << 16) & 0x001f_0000_ff00_00ff;
-    x = (x | x << 8) & 0x100f_00f0_0f00_f00f;
-    x = (x | x << 4) & 0x10c3_0c30_c30c_30c3;
-    (x | x << 2) & 0x1249_2492_4924_9249
+    let seven = |shift: u32| u64::from(SPREAD[(x >> shift & 127) as usize]);
+    seven(0) | seven(7) << 21 | seven(14) << 42
 }
+
+/// Seven bits, each spread to every third.
+const SPREAD: [u32; 128] = {
+    let mut table = [0; 128];
+    let mut i = 0;
+    while i < 128 {
+        let mut bit = 0;
+        while bit < 7 {
+            table[i] |= (i as u32 >> bit & 1) << (3 * bit);
+            bit += 1;
+        }
+        i += 1;
+    }
+    table
+};
 
 /// The inverse of [`spread`].
 fn gather(x: u64) -> u32 {

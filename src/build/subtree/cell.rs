@@ -56,9 +56,10 @@ pub(super) fn octant_of(code: u64, level: u32) -> usize {
 ///
 /// Its leading 3 * level bits name the cell of that level. Places outside the root cube are drawn to its border.
 pub fn cell_of(root: RootCube, bounds: Aabb) -> u64 {
-    let grid = Bounds::of(bounds, root).centre() * f64::from(1u32 << morton::BITS);
-    let last = f64::from((1u32 << morton::BITS) - 1);
-    let [x, y, z] = grid.to_array().map(|g| g.clamp(0.0, last) as u32);
+    // Scaling by powers of two is exact, so it is done once, behind the sum. What lies below 0 becomes 0.
+    let sum = (bounds.min.as_dvec3() - root.corner) + (bounds.max.as_dvec3() - root.corner);
+    let grid = sum * (0.5 * f64::from(1u32 << morton::BITS) / root.side());
+    let [x, y, z] = grid.to_array().map(|g| (g as u32).min((1 << morton::BITS) - 1));
     morton::encode(x, y, z)
 }
 

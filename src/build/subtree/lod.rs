@@ -1,59 +1,105 @@
 //! Surrogates for level of detail: what stands for all triangles of a node, bottom-up.
 //!
-//! Areas, normals and colours are summed from the leaves up, in f64 and in the order of the nodes, so that nothing depends on threads. The
-//! plane of a node of a page then comes from one pass over the corners of all triangles below it (a run of references, since
-//! references are numbered depth first): its normal is the mean normal as it is stored, it lies halfway between the
-//! outermost corners, and the deviation reaches these. Where a triangle is stored several times (in this page, or parts of it in others), a
+//! Areas, normals and colours are summed from the leaves up, in f64 and in the order of the slots, so that nothing depends on threads. The
+//! plane of a node of a page then comes from one pass over the vertices of all leaves below it (which lie together, as the page is gone
+//! through depth first): its normal is the mean normal as it is stored, it lies halfway between the
+//! outermost vertices, and the deviation reaches these. Where a triangle is stored several times (in this page, or parts of it in others), a
 //! node is responsible only for what lies in its box; then the plane's slab is cut to what the box allows, and a triangle counts as far
 //! as it lies in its leaf's box. Else a floor as large as the mesh would make a closed surface of every page that it touches.
 //!
-//! Memory: 72 bytes a reference and 150 a node while a page's surrogates are made, when its tree is gone already.
+//! Memory: 24 bytes a vertex of a leaf, so 72 a reference at most, while a page's surrogates are made, when its tree is gone already.
 //!
 //! Above the bricks no triangle is in reach any more. A top node's slab holds the slabs of its children within their boxes: for a child
 //! with normal m, |m.x - h| <= e and box B, and any number k, n.x = k m.x + (n - k m).x <= k h + |k| e + max over B of
 //! (n - k m).x; k = 0 (the box alone) and k = n.m are tried, the lesser bound is taken.
 
 use glam::{DVec3, Vec3};
+use smallvec::SmallVec;
 
-use super::{BrickTriangle, Subtree, TopBrick};
+use super::{Subtree, TopBrick};
 use crate::format::{Brick, Frame, Leaf, LeafUnit, Moments, Node, Patch, RootBox, Slot, Surrogate, cosine_of_sum};
 use crate::geometry::RootCube;
 
-/// What a node's surrogate is made from.
+/// What the node above needs to know of a node.
 #[derive(Clone, Copy)]
 struct Gathered {
     moments: Moments,
-    /// The run of corners below.
-    first: u32,
-    end: u32,
     /// The cosine of a cone that holds all normals, about `axis`.
     cone: f64,
     axis: DVec3,
 }
 
 /// The surrogates of a brick's nodes. `color` is that of the input's triangles, by their number.
-pub fn surrogates(
-    subtree: &Subtree,
-    triangles: &[BrickTriangle],
+pub fn surrogates(subtree: &Subtree, root: RootCube, unit: LeafUnit, color: impl Fn(u32) -> Vec3) -> Vec<Surrogate> {
+    let vertices = Vertices::with_capacity(subtree.order.len());
+    let surrogates = vec![bytemuck::Zeroable::zeroed(); subtree.nodes.len()];
+    let mut page = Page { subtree, root, unit, color, vertices, normals: Vec::new(), surrogates };
+    let frame = root_frame(subtree);
+    page.node(0, &frame, &RootBox::of_frame(&frame));
+    page.surrogates
+}
+
+/// The frame of the root of a brick; its box is the frame's whole box.
+fn root_frame(subtree: &Subtree) -> Frame {
+    Frame { corner: subtree.corner.map(f64::from), unit: subtree.unit.map(f64::from) }
+}
+
+/// The leaves of node `i`, each with its slot.
+fn leaves(subtree: &Subtree, unit: LeafUnit, i: usize) -> impl Iterator<Item = (Leaf<'_>, usize)> {
+    let node = &subtree.nodes[i];
+    let first = 16 * node.first_leaf as usize - 64 * if node.first_leaf == 0 { 0 } else { subtree.nodes.len() - i };
+    node.slots.iter().enumerate().filter_map(move |(slot, &byte)| match Slot::decode(byte) {
+        Some(Slot::Leaf(units)) => {
+            let at = first + usize::from(units) * unit.bytes();
+            subtree.leaf_bytes.get(at..).and_then(Leaf::read).map(|leaf| (leaf, slot))
+        }
+        _ => None,
+    })
+}
+
+/// The inner children of node `i`, each with its slot.
+fn children(subtree: &Subtree, i: usize) -> impl Iterator<Item = (usize, usize)> {
+    let node = &subtree.nodes[i];
+    node.slots.iter().enumerate().filter_map(move |(slot, &byte)| match Slot::decode(byte) {
+        Some(Slot::Inner(rank)) => Some((i + node.first_child as usize + usize::from(rank), slot)),
+        _ => None,
+    })
+}
+
+/// A page, while its surrogates are made.
+struct Page<'a, C> {
+    subtree: &'a Subtree,
     root: RootCube,
     unit: LeafUnit,
-    color: impl Fn(u32) -> Vec3,
-) -> Vec<Surrogate> {
-    let frames = frames(subtree);
-    let builder = Pages { subtree, triangles, root, unit, color, frames: &frames };
-    let corners = builder.corners();
-    let nothing = Gathered { moments: Moments::default(), first: u32::MAX, end: 0, cone: 1.0, axis: DVec3::Z };
-    let mut gathered = vec![nothing; subtree.nodes.len()];
-    let mut surrogates = vec![bytemuck::Zeroable::zeroed(); subtree.nodes.len()];
-    // Children lie behind their parents.
-    for i in (0..subtree.nodes.len()).rev() {
-        let (frame, bounds) = &frames[i];
-        let (moments, first, end) = builder.gather(i, &gathered);
+    color: C,
+    /// Those of the leaves that were come to.
+    vertices: Vertices,
+    /// The unit normals of the triangles in the leaves of the nodes on the way down; none where a triangle is too small to have one.
+    normals: Vec<Option<DVec3>>,
+    /// Of all nodes.
+    surrogates: Vec<Surrogate>,
+}
+
+impl<C: Fn(u32) -> Vec3> Page<'_, C> {
+    /// Makes the surrogates of node `i` and of those below it.
+    fn node(&mut self, i: usize, frame: &Frame, bounds: &RootBox) -> Gathered {
+        let (subtree, node) = (self.subtree, &self.subtree.nodes[i]);
+        let (first_vertex, first_normal) = (self.vertices.len(), self.normals.len());
+        let mut moments = Moments::default();
+        for (leaf, slot) in leaves(subtree, self.unit, i) {
+            self.leaf(&leaf, &RootBox::of_slot(node, slot, frame), &mut moments);
+        }
+        let mut below = SmallVec::<[Gathered; 8]>::new();
+        for (child, slot) in children(subtree, i) {
+            let gathered = self.node(child, &frame.child(node, slot), &RootBox::of_slot(node, slot, frame));
+            moments += gathered.moments;
+            below.push(gathered);
+        }
+
         let (stored, normal) = Surrogate::normal(moments.vector);
-        let cone = builder.cone(i, normal, &gathered);
-        gathered[i] = Gathered { moments, first, end, cone, axis: normal };
-        let along = corners[first as usize..end as usize].iter().map(|&p| normal.dot(p));
-        let (low, high) = along.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), x| (low.min(x), high.max(x)));
+        let cone = cone(normal, &self.normals[first_normal..], &below);
+        self.normals.truncate(first_normal);
+        let [low, high] = self.vertices.reach(first_vertex, normal);
         let [least, most] = bounds.support(normal);
         let slab = [low.clamp(least, most), high.clamp(least, most)];
         // Of the root no more is known here than what its triangles take up.
@@ -61,108 +107,76 @@ pub fn surrogates(
             0 => RootBox { low: subtree.bounds_root[0].into(), high: subtree.bounds_root[1].into() },
             _ => *bounds,
         };
-        surrogates[i] = Surrogate::of(stored, slab, frame, &moments.patch(normal, cone, &seen));
+        self.surrogates[i] = Surrogate::of(stored, slab, frame, &moments.patch(normal, cone, &seen));
+        Gathered { moments, cone, axis: normal }
     }
-    surrogates
+
+    /// Adds the triangles of a leaf with that box to `moments`, its vertices and normals to the lists.
+    fn leaf(&mut self, leaf: &Leaf<'_>, bounds: &RootBox, moments: &mut Moments) {
+        let first = self.vertices.len();
+        let whole = self.vertices.append(leaf, self.root, bounds);
+        for (j, &number) in self.subtree.order[leaf.first() as usize..][..leaf.len()].iter().enumerate() {
+            let corners = leaf.corners(j).map(|vertex| self.vertices.get(first + vertex));
+            let triangle = Moments::of_triangle(corners, (self.color)(number));
+            self.normals.push(triangle.vector.try_normalize());
+            *moments += if whole { triangle } else { triangle.times(inside(corners, bounds)) };
+        }
+    }
 }
 
-/// Each node's frame and box; of the root the frame's whole box.
-fn frames(subtree: &Subtree) -> Vec<(Frame, RootBox)> {
-    let frame = Frame { corner: subtree.corner.map(f64::from), unit: subtree.unit.map(f64::from) };
-    let mut frames = vec![(frame, RootBox::of_frame(&frame)); subtree.nodes.len()];
-    for (i, node) in subtree.nodes.iter().enumerate() {
-        let frame = frames[i].0;
-        for (slot, &byte) in node.slots.iter().enumerate() {
-            if let Some(Slot::Inner(rank)) = Slot::decode(byte) {
-                let child = i + node.first_child as usize + usize::from(rank);
-                frames[child] = (frame.child(node, slot), RootBox::of_slot(node, slot, &frame));
-            }
-        }
-    }
-    frames
+/// The cosine of a cone about `axis` that holds all these normals, and the cones of the children.
+fn cone(axis: DVec3, normals: &[Option<DVec3>], below: &[Gathered]) -> f64 {
+    let normals = normals.iter().fold(1.0f64, |cone, normal| normal.map_or(-1.0, |normal| cone.min(normal.dot(axis))));
+    let wider = |cone: f64, child: &Gathered| cone.min(cosine_of_sum(child.axis.dot(axis).min(1.0), child.cone));
+    below.iter().fold(normals, wider)
 }
 
-/// The nodes of a page, while their surrogates are made.
-struct Pages<'a, C> {
-    subtree: &'a Subtree,
-    triangles: &'a [BrickTriangle],
-    root: RootCube,
-    unit: LeafUnit,
-    color: C,
-    /// Each node's frame and box.
-    frames: &'a [(Frame, RootBox)],
-}
+/// Vertices in root units, axis by axis: those of a node lie together with those of all below it.
+struct Vertices([Vec<f64>; 3]);
 
-impl<C: Fn(u32) -> Vec3> Pages<'_, C> {
-    /// Three corners a reference, in root units.
-    fn corners(&self) -> Vec<DVec3> {
-        (0..self.subtree.order.len() as u32).flat_map(|reference| self.corners_of(reference)).collect()
+impl Vertices {
+    fn with_capacity(capacity: usize) -> Vertices {
+        Vertices([0; 3].map(|_| Vec::with_capacity(capacity)))
     }
 
-    /// The references of the leaves of node `i`, a run each, and the leaf's slot.
-    fn leaves(&self, i: usize) -> impl Iterator<Item = (std::ops::Range<u32>, usize)> {
-        let node = &self.subtree.nodes[i];
-        let first =
-            16 * node.first_leaf as usize - 64 * if node.first_leaf == 0 { 0 } else { self.subtree.nodes.len() - i };
-        node.slots.iter().enumerate().filter_map(move |(slot, &byte)| match Slot::decode(byte) {
-            Some(Slot::Leaf(units)) => {
-                let at = first + usize::from(units) * self.unit.bytes();
-                let leaf = self.subtree.leaf_bytes.get(at..).and_then(Leaf::read)?;
-                Some((leaf.first()..leaf.first() + leaf.len() as u32, slot))
-            }
-            _ => None,
-        })
+    fn len(&self) -> usize {
+        self.0[0].len()
     }
 
-    /// The inner children of node `i`.
-    fn children(&self, i: usize) -> impl Iterator<Item = usize> {
-        let node = &self.subtree.nodes[i];
-        node.slots.iter().filter_map(move |&byte| match Slot::decode(byte) {
-            Some(Slot::Inner(rank)) => Some(i + node.first_child as usize + usize::from(rank)),
-            _ => None,
-        })
+    fn get(&self, vertex: usize) -> DVec3 {
+        DVec3::from_array(self.0.each_ref().map(|axis| axis[vertex]))
     }
 
-    /// The sums over all triangles of node `i`, and the run of their corners.
-    fn gather(&self, i: usize, gathered: &[Gathered]) -> (Moments, u32, u32) {
-        let (mut moments, mut first, mut end) = (Moments::default(), u32::MAX, 0);
-        for (run, slot) in self.leaves(i) {
-            (first, end) = (first.min(3 * run.start), end.max(3 * run.end));
-            let bounds = RootBox::of_slot(&self.subtree.nodes[i], slot, &self.frames[i].0);
-            for reference in run {
-                moments += self.moments(reference).times(inside(self.corners_of(reference), &bounds));
-            }
+    /// Adds those of a leaf; whether all of them lie in `bounds`.
+    fn append(&mut self, leaf: &Leaf<'_>, root: RootCube, bounds: &RootBox) -> bool {
+        let first = self.len();
+        let (low, high) = (bounds.low.to_array(), bounds.high.to_array());
+        let mut within = true;
+        for (axis, list) in self.0.iter_mut().enumerate() {
+            list.extend(leaf.coordinates(axis).iter().map(|x| root.axis_to_root_units(axis, x)));
+            within &= list[first..].iter().fold(true, |all, &x| all & (x >= low[axis]) & (x <= high[axis]));
         }
-        for child in self.children(i) {
-            let child = &gathered[child];
-            (first, end) = (first.min(child.first), end.max(child.end));
-            moments += child.moments;
-        }
-        (moments, first, end)
+        within
     }
 
-    fn moments(&self, reference: u32) -> Moments {
-        Moments::of_triangle(self.corners_of(reference), (self.color)(self.subtree.order[reference as usize]))
-    }
-
-    /// The corners of a reference's triangle, in root units.
-    fn corners_of(&self, reference: u32) -> [DVec3; 3] {
-        let number = self.subtree.order[reference as usize];
-        self.triangles[number as usize].triangle.vertices().map(|v| self.root.to_root_units(v))
-    }
-
-    /// The cosine of a cone about `axis` that holds the normals of all triangles of node `i`.
-    fn cone(&self, i: usize, axis: DVec3, gathered: &[Gathered]) -> f64 {
-        let mut cone = 1.0f64;
-        for reference in self.leaves(i).flat_map(|(run, _)| run) {
-            let normal = self.moments(reference).vector.try_normalize();
-            cone = normal.map_or(-1.0, |normal| cone.min(normal.dot(axis)));
+    /// The least and the greatest n.x of the vertices from `first` on.
+    fn reach(&self, first: usize, n: DVec3) -> [f64; 2] {
+        // Several side by side, and no minimum that would have to know NaN: so that this is done in vectors.
+        const LANES: usize = 4;
+        let (mut low, mut high) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+        let mut take = |lane: usize, x: f64, y: f64, z: f64| {
+            let along = n.x * x + n.y * y + n.z * z;
+            low[lane] = if along < low[lane] { along } else { low[lane] };
+            high[lane] = if along > high[lane] { along } else { high[lane] };
+        };
+        let [(x, xs), (y, ys), (z, zs)] = self.0.each_ref().map(|axis| axis[first..].as_chunks::<LANES>());
+        for ((x, y), z) in x.iter().zip(y).zip(z) {
+            (0..LANES).for_each(|lane| take(lane, x[lane], y[lane], z[lane]));
         }
-        for child in self.children(i) {
-            let child = &gathered[child];
-            cone = cone.min(cosine_of_sum(child.axis.dot(axis).min(1.0), child.cone));
+        for ((&x, &y), &z) in xs.iter().zip(ys).zip(zs) {
+            take(0, x, y, z);
         }
-        cone
+        [low.into_iter().fold(f64::INFINITY, f64::min), high.into_iter().fold(f64::NEG_INFINITY, f64::max)]
     }
 }
 

@@ -25,6 +25,7 @@ mod collapse;
 mod emit;
 mod lod;
 mod octree;
+mod order;
 mod primitive;
 mod quantise;
 mod record;
@@ -121,8 +122,7 @@ pub fn build_subtree_within(
     assert!(u32::try_from(triangles.len()).is_ok(), "a brick has fewer than 2^32 triangles");
     assert!(parts.is_empty() || options.split == SplitMode::Sah, "only splits by surface know parts of triangles");
     assert!(parts.is_empty() || parts.len() == triangles.len(), "all triangles have a part, or none has");
-    let sorted = sort(triangles, root);
-    let mut order: Vec<u32> = sorted.iter().map(|key| key.index).collect();
+    let (mut order, codes) = order::sort(triangles, root);
     let parts = sah::Part::list(triangles, parts, &mut order);
     let canonical = sah::Canonical { triangles, order: &order, parts: &parts };
     let limits = record::RecordLimits::new(options.leaf, options.unit);
@@ -130,18 +130,17 @@ pub fn build_subtree_within(
     let limit = options.cell.max(1);
     let tree = match options.split {
         SplitMode::Sah => {
-            drop(sorted);
+            drop(codes);
             collapse::collapse(&choice::best_tree(canonical, limits, options.repeats), &order, root)
         }
         SplitMode::Octree => {
-            let codes: Vec<u64> = sorted.iter().map(|key| key.code).collect();
-            drop(sorted);
+            let codes: Vec<u64> = order.iter().map(|&number| codes[number as usize]).collect();
             let builder =
                 octree::OctreeBuilder { triangles: canonical, codes: &codes, root, limits, cell: limit, depth };
             builder.build(cell.level)
         }
         SplitMode::Strict => {
-            drop(sorted);
+            drop(codes);
             strict::StrictBuilder { triangles: canonical, root, limits, cell: limit, depth, memory }.build(cell)?
         }
     };
@@ -158,27 +157,4 @@ pub fn build_subtree(
     options: &SubtreeOptions,
 ) -> Subtree {
     build_subtree_within(triangles, parts, cell, root, options, u64::MAX).expect("there is no bound")
-}
-
-/// A triangle's place in the canonical order.
-#[derive(Clone, Copy)]
-struct Key {
-    code: u64,
-    face: u32,
-    index: u32,
-}
-
-/// The triangles by Morton code, then face; by their bits where even that is the same.
-fn sort(triangles: &[BrickTriangle], root: RootCube) -> Vec<Key> {
-    let key = |(index, t): (usize, &BrickTriangle)| Key {
-        code: cell_of(root, Aabb::from(&t.triangle)),
-        face: t.face,
-        index: index as u32,
-    };
-    let mut keys: Vec<Key> = triangles.iter().enumerate().map(key).collect();
-    let corners = |key: &Key| triangles[key.index as usize].triangle.vertices().map(record::bits);
-    keys.sort_unstable_by(|a, b| {
-        (a.code, a.face).cmp(&(b.code, b.face)).then_with(|| corners(a).cmp(&corners(b))).then(a.index.cmp(&b.index))
-    });
-    keys
 }

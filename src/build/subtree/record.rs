@@ -3,7 +3,7 @@
 use glam::Vec3;
 
 use super::wide::{Bounds, Child, WideTree};
-use crate::format::LeafUnit;
+use crate::format::{LeafUnit, VertexTable};
 use crate::geometry::Triangle;
 
 /// The limits of a leaf record.
@@ -27,45 +27,8 @@ impl RecordLimits {
         if count > self.triangles || 3 * count <= self.vertices {
             return count <= self.triangles;
         }
-        let mut set = VertexSet::new();
+        let mut set = VertexTable::default();
         triangles.into_iter().all(|t| set.add_triangle(t) <= self.vertices)
-    }
-}
-
-/// A set of vertices, equal by their bits: open addressing over twice as many places as 16 triangles have corners.
-pub(super) struct VertexSet {
-    keys: [[u32; 3]; VertexSet::PLACES],
-    taken: u128,
-    len: usize,
-}
-
-impl VertexSet {
-    const PLACES: usize = 128;
-
-    /// The empty set.
-    pub fn new() -> VertexSet {
-        VertexSet { keys: [[0; 3]; VertexSet::PLACES], taken: 0, len: 0 }
-    }
-
-    /// Adds a triangle's corners; the number of vertices then. At most 16 triangles may be added.
-    pub fn add_triangle(&mut self, triangle: &Triangle) -> usize {
-        triangle.vertices().into_iter().for_each(|v| self.add(v));
-        self.len
-    }
-
-    fn add(&mut self, vertex: Vec3) {
-        let key = bits(vertex);
-        let mixed = key.iter().fold(0u32, |h, &k| (h.rotate_left(5) ^ k).wrapping_mul(0x9e37_79b9));
-        let mut place = (mixed >> 25) as usize;
-        while self.taken >> place & 1 != 0 {
-            if self.keys[place] == key {
-                return;
-            }
-            place = (place + 1) % VertexSet::PLACES;
-        }
-        self.keys[place] = key;
-        self.taken |= 1 << place;
-        self.len += 1;
     }
 }
 
@@ -100,7 +63,7 @@ pub(super) fn spread<'a>(
 
 /// How many of the first references fit one record; at least 1.
 fn fill<'a>(limits: RecordLimits, references: &[u32], triangle: &impl Fn(u32) -> &'a Triangle) -> usize {
-    let mut set = VertexSet::new();
+    let mut set = VertexTable::default();
     let first = references.iter().take(limits.triangles);
     first.take_while(|&&r| set.add_triangle(triangle(r)) <= limits.vertices).count()
 }
@@ -136,7 +99,7 @@ mod tests {
         assert!(RecordLimits::new(16, LeafUnit::B32).fit(triangles.iter()));
         assert!(limits.fit([soup(1); 16].iter()));
         assert!(!limits.fit([soup(1); 17].iter()));
-        let mut set = VertexSet::new();
+        let mut set = VertexTable::default();
         let (zero, minus) = (Vec3::ZERO, Vec3::new(-0.0, 0.0, 0.0));
         assert_eq!(set.add_triangle(&Triangle { a: zero, b: minus, c: zero }), 2);
     }

@@ -1,6 +1,6 @@
 //! Surrogates of bricks, and merged ones.
 
-use super::super::{Cell, SubtreeOptions, build_subtree};
+use super::super::{BrickTriangle, Cell, SubtreeOptions, build_subtree};
 use super::*;
 use crate::format::{Points, SplitMode};
 use crate::geometry::{Aabb, Triangle};
@@ -41,8 +41,21 @@ fn built_of(list: &[BrickTriangle], parts: &[Aabb]) -> (Subtree, Vec<Surrogate>)
     };
     let root = root_of(list);
     let subtree = build_subtree(list, parts, Cell::ROOT, root, &options);
-    let surrogates = surrogates(&subtree, list, root, LeafUnit::B16, |i| if i % 2 == 0 { Vec3::X } else { Vec3::Y });
+    let surrogates = surrogates(&subtree, root, LeafUnit::B16, |i| if i % 2 == 0 { Vec3::X } else { Vec3::Y });
     (subtree, surrogates)
+}
+
+/// Each node's frame and box; of the root the frame's whole box.
+fn frames(subtree: &Subtree) -> Vec<(Frame, RootBox)> {
+    let frame = root_frame(subtree);
+    let mut frames = vec![(frame, RootBox::of_frame(&frame)); subtree.nodes.len()];
+    for (i, node) in subtree.nodes.iter().enumerate() {
+        let frame = frames[i].0;
+        for (child, slot) in children(subtree, i) {
+            frames[child] = (frame.child(node, slot), RootBox::of_slot(node, slot, &frame));
+        }
+    }
+    frames
 }
 
 #[test]
@@ -104,13 +117,12 @@ fn slabs_and_cones_hold_every_triangle() {
     let (subtree, surrogates) = built(&list);
     let root = root_of(&list);
     let frames = frames(&subtree);
-    let color = |_| Vec3::ONE;
-    let builder = Pages { subtree: &subtree, triangles: &list, root, unit: LeafUnit::B16, color, frames: &frames };
     let mut triangles = 0;
     let mut below: Vec<Vec<u32>> = vec![Vec::new(); subtree.nodes.len()];
     for i in (0..subtree.nodes.len()).rev() {
-        let mut all: Vec<u32> = builder.leaves(i).flat_map(|x| x.0).collect();
-        builder.children(i).for_each(|child| all.extend(&below[child]));
+        let run = |leaf: Leaf<'_>| leaf.first()..leaf.first() + leaf.len() as u32;
+        let mut all: Vec<u32> = leaves(&subtree, LeafUnit::B16, i).flat_map(|(leaf, _)| run(leaf)).collect();
+        children(&subtree, i).for_each(|(child, _)| all.extend(&below[child]));
         let patch = surrogates[i].patch(&frames[i].0);
         for &reference in &all {
             let corners = list[subtree.order[reference as usize] as usize].triangle.vertices();
@@ -133,11 +145,9 @@ fn a_merged_slab_holds_those_below() {
     let frames = frames(&subtree);
     let root = root_of(&list);
     let below = |i: usize| Below { patch: surrogates[i].patch(&frames[i].0), bounds: frames[i].1 };
-    let color = |_| Vec3::ONE;
-    let builder = Pages { subtree: &subtree, triangles: &list, root, unit: LeafUnit::B16, color, frames: &frames };
-    let children: Vec<Below> = builder.children(0).map(below).collect();
-    assert!(children.len() > 1);
-    let (merged, seen) = merged(&children, &frames[0].0);
+    let below: Vec<Below> = children(&subtree, 0).map(|(child, _)| below(child)).collect();
+    assert!(below.len() > 1);
+    let (merged, seen) = merged(&below, &frames[0].0);
     let exact = surrogates[0].patch(&frames[0].0);
     let patch = merged.patch(&frames[0].0);
     assert!(patch.normal.dot(exact.normal) > 0.99 && patch.deviation < 3.0 * exact.deviation, "{patch:?} {exact:?}");
