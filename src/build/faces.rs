@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::{Error, Result};
 use crate::mesh::{FaceBatch, NO_INDEX};
 
-use super::blocks::{self, Block, LargeFace, LoadedBlock, corners_of, touched, triangles_of};
+use super::blocks::{self, Block, LargeFace, LoadedBlock, Touched, corners_of, touched, triangles_of};
 use super::polygon::CLIP_LIMIT;
 use super::spool::Spool;
 use super::table::Kind;
@@ -130,9 +130,9 @@ impl<'a> Faces<'a> {
         self.corners
     }
 
-    /// The parts of a table that a block's faces touch, in order; `None` if they are many.
-    pub fn touched(&self, block: usize, kind: Kind) -> Option<&[u32]> {
-        self.blocks[block].touched[kind as usize].as_deref()
+    /// The parts of a table that a block's faces touch.
+    pub fn touched(&self, block: usize, kind: Kind) -> &Touched {
+        &self.blocks[block].touched[kind as usize]
     }
 
     /// Reads a block back.

@@ -187,6 +187,12 @@ fn without_comment(name: &str) -> &str {
     name.split(" #").next().unwrap_or(name).trim_end()
 }
 
+/// The files of all libraries, as absolute paths.
+pub(super) fn library_files(folder: &Path, libraries: &Names) -> Vec<PathBuf> {
+    let files = libraries.iter().flat_map(|names| library_paths(folder, names));
+    files.map(|path| std::path::absolute(&path).unwrap_or(path)).collect()
+}
+
 /// The files that the rest of an `mtllib` line names: one whose name may hold blanks, or several.
 fn library_paths(folder: &Path, names: &str) -> Vec<PathBuf> {
     let whole = locate(folder, names);
