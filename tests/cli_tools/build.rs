@@ -345,6 +345,17 @@ fn interrupted_once_it_cleans_up() {
 
 #[cfg(unix)]
 #[test]
+fn nobody_has_to_read_what_it_says() {
+    let lab = Lab::new();
+    lab.write("a.obj", ball(8, 8));
+    let mut child = lab.command("octbuild", &["a.obj", "-o", "a.oct"]).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stderr.take());
+    assert_eq!(wait(&mut child), Some(0));
+    assert_eq!(lab.files(), ["a.obj", "a.oct"]);
+}
+
+#[cfg(unix)]
+#[test]
 fn killed_builds_are_resumed_with_the_same_bytes() {
     let lab = Lab::new();
     lab.write("a.obj", ball(1200, 500));
