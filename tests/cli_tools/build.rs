@@ -314,6 +314,14 @@ fn an_input_cut_short_is_told() {
     assert!(lab.fails(2, "octbuild", &["a.obj.zst", "-o", "a.oct"]).contains("cut short"));
     assert!(lab.fails(2, "octbuild", &["c.obj", "-o", "a.oct"]).contains("takes 3 numbers"));
     assert_eq!(lab.files(), ["a.obj.zst", "b.obj", "c.obj"]);
+    // Where the cut leaves what may be a face, or one too short, that can only be told.
+    let whole = ball(300, 200);
+    lab.write("d.obj", &whole[..whole.len() - 2]);
+    lab.write("e.obj", whole);
+    for (mesh, cut) in [("b.obj", true), ("d.obj", true), ("e.obj", false)] {
+        let output = lab.run("octbuild", &[mesh, "-o", "a.oct"]);
+        assert_eq!((output.status.code(), told(&output).contains("cut short")), (Some(0), cut), "{}", told(&output));
+    }
 }
 
 #[cfg(unix)]
