@@ -185,6 +185,29 @@ fn a_line_too_long_for_the_memory_is_told() {
 }
 
 #[test]
+fn packed_with_a_large_window() {
+    let lab = Lab::new();
+    let obj = strip(500_000, false, |_| {});
+    assert!(obj.len() > 16 << 20);
+    for (name, log) in [("8.obj.zst", 23), ("16.obj.zst", 24)] {
+        let mut encoder = zstd::stream::Encoder::new(Vec::new(), 1).unwrap();
+        encoder.window_log(log).unwrap();
+        std::io::Write::write_all(&mut encoder, obj.as_bytes()).unwrap();
+        lab.write(name, encoder.finish().unwrap());
+    }
+    let built = |input, memory, bytes: u64| {
+        lab.done("octbuild", &[input, "-o", "a.oct", "--memory", memory, "--threads", "2", "--stats", "s.json", "-q"]);
+        let peak = lab.json("s.json")["peak_rss_bytes"].as_u64().unwrap();
+        assert!(peak <= bytes, "{input}: {peak} bytes are above {memory}");
+        lab.read("a.oct")
+    };
+    let small = built("8.obj.zst", "64M", 64 << 20);
+    assert!(built("16.obj.zst", "128M", 128 << 20) == small);
+    let error = lab.fails(2, "octbuild", &["16.obj.zst", "-o", "b.oct", "--memory", "64M"]);
+    assert!(error.contains("16.obj.zst") && error.contains("window") && error.contains("allow more"), "{error}");
+}
+
+#[test]
 fn very_many_materials() {
     let lab = Lab::new();
     let mut obj = String::from("mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\n");

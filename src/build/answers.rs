@@ -11,6 +11,7 @@ use super::blocks::FaceView;
 use super::distribute::Extent;
 use super::faces::Faces;
 use super::spool::Spool;
+use super::steps::Steps;
 use super::table::{Kind, Table};
 use super::words::Words;
 use crate::error::Result;
@@ -35,8 +36,8 @@ struct Cursor {
 }
 
 impl<'t, const N: usize> Answers<'t, N> {
-    /// Sorts and answers all numbers of `faces` with `share` words of memory.
-    pub fn new(table: &'t Table<'t, N>, faces: &Faces<'_>, share: usize) -> Result<Self> {
+    /// Sorts and answers all numbers of `faces` with `share` words of memory. That is one of `steps`: half of it to sort them.
+    pub fn new(table: &'t Table<'t, N>, faces: &Faces<'_>, share: usize, steps: &mut Steps<'_>) -> Result<Self> {
         let range = (share / 2 / N).max(1) as u64;
         let ranges = table.len().div_ceil(range).max(1) as usize;
         // A buffer holds whole items.
@@ -49,17 +50,24 @@ impl<'t, const N: usize> Answers<'t, N> {
             cursors: Vec::new(),
             buffer_words,
         };
-        let (asked, extents) = answers.ask(table, faces, ranges)?;
+        let (asked, extents) = answers.ask(table, faces, ranges, steps)?;
         for (number, extents) in extents.iter().enumerate() {
             let at = answers.spool.len();
-            answers.answer(table, number as u64, &asked, extents)?;
+            answers.answer(table, number as u64, &asked, extents, steps)?;
             answers.cursors.push(Cursor { at, end: answers.spool.len(), buffer: Vec::new(), used: 0 });
         }
+        steps.next();
         Ok(answers)
     }
 
     /// Writes all numbers, sorted by range.
-    fn ask(&self, table: &'t Table<'t, N>, faces: &Faces<'_>, ranges: usize) -> Result<(Spool<'t>, Vec<Vec<Extent>>)> {
+    fn ask(
+        &self,
+        table: &'t Table<'t, N>,
+        faces: &Faces<'_>,
+        ranges: usize,
+        steps: &Steps<'_>,
+    ) -> Result<(Spool<'t>, Vec<Vec<Extent>>)> {
         let mut asked = table.spool.beside("numbers");
         let mut buffers: Vec<Vec<u32>> = vec![Vec::with_capacity(self.buffer_words); ranges];
         let mut extents = vec![Vec::new(); ranges];
@@ -70,6 +78,7 @@ impl<'t, const N: usize> Answers<'t, N> {
             Ok(())
         };
         for block in 0..faces.blocks() {
+            steps.at(block as u64, 2 * faces.blocks() as u64)?;
             let block = faces.load(block)?;
             for &number in block.view().numbers(self.kind) {
                 if let Some(range) = self.range_of(number) {
@@ -85,7 +94,14 @@ impl<'t, const N: usize> Answers<'t, N> {
     }
 
     /// Appends the items of a range's numbers.
-    fn answer(&mut self, table: &Table<'_, N>, number: u64, asked: &Spool<'_>, extents: &[Extent]) -> Result<()> {
+    fn answer(
+        &mut self,
+        table: &Table<'_, N>,
+        number: u64,
+        asked: &Spool<'_>,
+        extents: &[Extent],
+        steps: &Steps<'_>,
+    ) -> Result<()> {
         let first = number * self.range;
         let items = self.range.min(self.items.saturating_sub(first));
         let mut words = Words::zeroed(N * items as usize)?;
@@ -93,6 +109,8 @@ impl<'t, const N: usize> Answers<'t, N> {
         let words: &[u32] = &words;
         let (mut numbers, mut found) = (Vec::new(), Vec::new());
         for extent in extents {
+            let done = self.spool.len() / N as u64;
+            steps.at(asked.len() + done, 2 * asked.len())?;
             numbers.resize(extent.words as usize, 0);
             asked.read(extent.at, &mut numbers)?;
             // A slice at a time, since answers are longer than numbers.

@@ -17,8 +17,27 @@ pub(super) struct Block {
     pub first_id: u32,
     /// Words of sizes, corners, texture coordinate numbers, normal numbers and materials.
     pub lengths: [u32; 5],
-    /// Parts of the tables of positions, texture coordinates and normals that the corners touch; `None` = many.
-    pub touched: [Option<Box<[u32]>>; 3],
+    /// Parts of the tables of positions, texture coordinates and normals that the corners touch.
+    pub touched: [Touched; 3],
+}
+
+/// Parts of a table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Touched {
+    /// These, in order.
+    Few(Box<[u32]>),
+    /// So many.
+    Many(u32),
+}
+
+impl Touched {
+    /// How many there are.
+    pub fn len(&self) -> u64 {
+        match self {
+            Touched::Few(parts) => parts.len() as u64,
+            Touched::Many(count) => u64::from(*count),
+        }
+    }
 }
 
 /// A face that was cut as it came: the ids of its triangles.
@@ -86,38 +105,51 @@ impl LoadedBlock {
     }
 }
 
-/// The parts of a table that `numbers` touch, in order, if they are few.
-pub(super) fn touched(numbers: &[u32]) -> Option<Box<[u32]>> {
+/// The parts of a table that `numbers` touch.
+pub(super) fn touched(numbers: &[u32]) -> Touched {
     let mut parts: Vec<u32> = Vec::new();
     let mut last = None;
     for &number in numbers.iter().filter(|&&number| number != NO_INDEX) {
         let part = number >> PART;
         if last.replace(part) != Some(part) && !parts.contains(&part) {
             if parts.len() == FEW {
-                return None;
+                return Touched::Many(count_parts(numbers));
             }
             parts.push(part);
         }
     }
     parts.sort_unstable();
-    Some(parts.into())
+    Touched::Few(parts.into())
+}
+
+/// How many parts `numbers` touch.
+fn count_parts(numbers: &[u32]) -> u32 {
+    let parts = || numbers.iter().filter(|&&number| number != NO_INDEX).map(|&number| (number >> PART) as usize);
+    let mut seen = vec![0u64; parts().max().unwrap_or(0) / 64 + 1];
+    parts().for_each(|part| seen[part / 64] |= 1 << (part % 64));
+    seen.iter().map(|word| word.count_ones()).sum()
 }
 
 /// Words that are gathered before they are written, or read at a time.
 const PIECE: usize = 1 << 14;
-/// Stands for the length of a list that is not there.
+/// Stands before the count of parts that are not listed.
 const MANY: u32 = u32::MAX;
 
 /// Appends the index to a spool: each block as place (low word first), first id, lengths and three lists, each list after
-/// its length; then each large face as first id and number of triangles.
+/// its length, or its length alone; then each large face as first id and number of triangles.
 pub(super) fn write(blocks: &[Block], large: &[LargeFace], spool: &mut Spool<'_>) -> Result<()> {
     let mut words = Vec::with_capacity(2 * PIECE);
     for block in blocks {
         words.extend([block.at as u32, (block.at >> 32) as u32, block.first_id]);
         words.extend(block.lengths);
-        for list in &block.touched {
-            words.push(list.as_ref().map_or(MANY, |list| list.len() as u32));
-            words.extend(list.iter().flat_map(|list| list.iter()));
+        for touched in &block.touched {
+            match touched {
+                Touched::Few(parts) => {
+                    words.push(parts.len() as u32);
+                    words.extend(parts);
+                }
+                Touched::Many(count) => words.extend([MANY, *count]),
+            }
         }
         if words.len() >= PIECE {
             spool.append(&words)?;
@@ -140,8 +172,8 @@ pub(super) fn read(spool: &Spool<'_>, blocks: usize, large: usize) -> Option<(Ve
         let [low, high, first_id] = words.array()?;
         let lengths = words.array()?;
         let mut list = || match words.next()? {
-            MANY => Some(None),
-            len => (0..len).map(|_| words.next()).collect::<Option<Box<[u32]>>>().map(Some),
+            MANY => words.next().map(Touched::Many),
+            len => (0..len).map(|_| words.next()).collect::<Option<_>>().map(Touched::Few),
         };
         let touched = [list()?, list()?, list()?];
         Some(Block { at: u64::from(high) << 32 | u64::from(low), first_id, lengths, touched })
@@ -194,7 +226,7 @@ mod tests {
             at: u64::from(i) << 30,
             first_id: 7 * i,
             lengths: [i, i + 1, 0, 3, 2],
-            touched: [Some((0..i % 60).collect()), None, Some([].into())],
+            touched: [Touched::Few((0..i % 60).collect()), Touched::Many(i + 65), Touched::Few([].into())],
         };
         let blocks: Vec<Block> = (0..3000).map(block).collect();
         let large: Vec<LargeFace> = (0..40_000).map(|i| LargeFace { first_id: 9 * i, triangles: 5000 + i }).collect();
@@ -205,11 +237,15 @@ mod tests {
     }
 
     #[test]
-    fn touched_parts_are_few_or_none() {
-        assert_eq!(touched(&[9 << PART, 1, NO_INDEX, 2, 9 << PART | 5]), Some([0, 9].into()));
-        assert_eq!(touched(&[]), Some([].into()));
-        let many: Vec<u32> = (0..=FEW as u32).map(|part| part << PART).collect();
-        assert_eq!(touched(&many), None);
-        assert_eq!(touched(&many[1..]).map(|list| list.len()), Some(FEW));
+    fn touched_parts_are_listed_or_counted() {
+        assert_eq!(touched(&[9 << PART, 1, NO_INDEX, 2, 9 << PART | 5]), Touched::Few([0, 9].into()));
+        assert_eq!(touched(&[]), Touched::Few([].into()));
+        let many: Vec<u32> =
+            (0..300u32).rev().chain([NO_INDEX - 1, NO_INDEX, 7]).map(|i| i.rotate_right(PART)).collect();
+        assert_eq!(touched(&many), Touched::Many(301));
+        assert_eq!(touched(&many[..FEW]).len(), FEW as u64);
+        assert!(
+            matches!(touched(&many[..FEW]), Touched::Few(_)) && touched(&many[..=FEW]) == Touched::Many(FEW as u32 + 1)
+        );
     }
 }

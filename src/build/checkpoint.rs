@@ -1,34 +1,35 @@
 //! What a build notes on its way, so that it can go on after it was killed.
 //!
 //! The work folder holds a `state` file, written anew (and renamed) when a phase ends: what the source and the options
-//! are, and all that the next phases need beside the spools ([`super::scanned`] for the scan). While pages are written, a `pages` file grows by an entry
-//! a page, and `progress` says how many chunks, and so how many entries, are whole. Nothing is synced: after a kill the system still has
-//! what was written. After a restart of the machine that does not hold, so the state names the boot it belongs to.
+//! are, and all that the next phases need beside the spools ([`super::scanned`] for the scan). Pages are noted apart
+//! ([`super::page_log`]). Nothing is synced: after a kill the system still has what was written. After a restart of the
+//! machine that does not hold, so the state names the boot it belongs to.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::Write;
+use std::path::PathBuf;
 
-use bytemuck::{Pod, Zeroable};
 use serde::{Deserialize, Serialize};
-use xxhash_rust::xxh3::xxh3_64;
 
 use super::distribute::{Chunk, Extent};
 use super::grid::{CellCode, Unit};
 use super::join::Tally;
-use super::options::BuildOptions;
+use super::options::{BuildOptions, Tuning};
 use super::record::Layout;
 use super::report::Polygons;
 use super::scanned::ScannedState;
 use super::work::WorkFolder;
 use crate::error::{Error, Result};
-use crate::format::{Brick, Dropped, PageRecord, VERSION};
+use crate::format::{Dropped, VERSION};
 use crate::geometry::Aabb;
-use crate::mesh::MaterialInfo;
+use crate::mesh::{self, MaterialInfo};
 
 /// What was made so far.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct State {
     key: Key,
+    /// Other files that the source read, and what they were.
+    beside: Vec<(PathBuf, Option<String>)>,
     pub reached: Reached,
 }
 
@@ -101,14 +102,20 @@ impl Key {
 }
 
 impl State {
-    /// The state after the scan; `None` if the source cannot be told from others.
-    pub fn scanned(options: &BuildOptions, scanned: ScannedState) -> Option<State> {
-        Some(State { key: Key::of(options)?, reached: Reached::Scanned(scanned) })
+    /// The state after the scan of a source that read the files `beside` too; `None` if it cannot be told from others.
+    pub fn scanned(options: &BuildOptions, beside: &[PathBuf], scanned: ScannedState) -> Option<State> {
+        Some(State { key: Key::of(options)?, beside: stamps(beside), reached: Reached::Scanned(scanned) })
     }
 
     /// The state after the join, likewise.
-    pub fn joined(options: &BuildOptions, joined: JoinedState) -> Option<State> {
-        Some(State { key: Key::of(options)?, reached: Reached::Joined { joined, parts: false, chunks: None } })
+    pub fn joined(options: &BuildOptions, beside: &[PathBuf], joined: JoinedState) -> Option<State> {
+        let reached = Reached::Joined { joined, parts: false, chunks: None };
+        Some(State { key: Key::of(options)?, beside: stamps(beside), reached })
+    }
+
+    /// The files that the source read beside its own.
+    pub fn beside(&self) -> Vec<PathBuf> {
+        self.beside.iter().map(|(path, _)| path.clone()).collect()
     }
 
     /// Whether records stand for parts of triangles.
@@ -130,11 +137,13 @@ impl State {
         }
     }
 
-    /// What an earlier build of the same source with the same options left.
-    pub fn load(work: &WorkFolder, options: &BuildOptions) -> Option<State> {
-        let text = fs::read(work.path().join("state")).ok()?;
-        let state: State = serde_json::from_slice(&text).ok()?;
-        (Some(&state.key) == Key::of(options).as_ref()).then_some(state)
+    /// What an earlier build of the same source with the same options left, if it takes no more than `most` bytes.
+    pub fn load(work: &WorkFolder, options: &BuildOptions, most: u64) -> Option<State> {
+        let path = work.path().join("state");
+        let fits = fs::metadata(&path).ok()?.len() <= most;
+        let state: State = serde_json::from_slice(&fits.then(|| fs::read(path).ok()).flatten()?).ok()?;
+        let same = |(path, stamp): &(PathBuf, Option<String>)| mesh::stamp(path) == *stamp;
+        (Some(&state.key) == Key::of(options).as_ref() && state.beside.iter().all(same)).then_some(state)
     }
 
     /// Notes the state.
@@ -147,9 +156,16 @@ impl State {
     }
 }
 
-/// Whether materials are few enough for a state, which would be large itself.
-pub(super) fn can_note(materials: &[MaterialInfo]) -> bool {
-    materials.len() <= 1 << 16
+fn stamps(files: &[PathBuf]) -> Vec<(PathBuf, Option<String>)> {
+    files.iter().map(|path| (path.clone(), mesh::stamp(path))).collect()
+}
+
+/// Whether a state can hold these materials and the names of files `beside`: few enough, since it would be large itself, and
+/// of paths that are text.
+pub(super) fn can_note(materials: &[MaterialInfo], beside: &[PathBuf], tuning: &Tuning) -> bool {
+    let textures = materials.iter().filter_map(|material| material.map_kd.as_ref());
+    materials.len() + beside.len() <= tuning.noted_materials
+        && textures.chain(beside).all(|path| path.to_str().is_some())
 }
 
 pub(super) fn bits(bounds: Aabb) -> [u32; 6] {
@@ -265,114 +281,9 @@ impl ChunkState {
     }
 }
 
-/// What is noted of a page.
-#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
-#[repr(C)]
-pub(super) struct PageEntry {
-    pub bounds_root: [[f64; 3]; 2],
-    pub nodes: u64,
-    pub record: PageRecord,
-    pub brick: Brick,
-    pub level: u32,
-    pub index: [u32; 3],
-    pub leaves: u32,
-    pub depth: u32,
-    /// Flags for normals and texture coordinates.
-    pub attributes: u32,
-    pub zero: u32,
-}
-
-/// How far the pages are.
-#[derive(Clone, Copy, Debug, Pod, Zeroable)]
-#[repr(C)]
-struct Progress {
-    chunks: u64,
-    pages: u64,
-    checksum: u64,
-}
-
-impl Progress {
-    fn new(chunks: u64, pages: u64) -> Progress {
-        Progress { chunks, pages, checksum: xxh3_64(bytemuck::bytes_of(&[chunks, pages])) }
-    }
-}
-
-/// The entries of all pages, as they are written.
-pub(super) struct PageLog {
-    pages: File,
-    progress: File,
-    waiting: Vec<PageEntry>,
-    written: u64,
-    path: std::path::PathBuf,
-}
-
-impl PageLog {
-    /// An empty one.
-    pub fn create(work: &WorkFolder) -> Result<PageLog> {
-        let (pages, progress) = (work.create("pages")?, work.create("progress")?);
-        Ok(PageLog { pages, progress, waiting: Vec::new(), written: 0, path: work.path().join("pages") })
-    }
-
-    /// What an earlier build left: chunks that are whole, and their pages. `None` if that cannot be read.
-    pub fn reopen(work: &WorkFolder) -> Option<(PageLog, u64, Vec<PageEntry>)> {
-        let progress = fs::read(work.path().join("progress")).ok()?;
-        let Progress { chunks, pages, checksum } = bytemuck::try_pod_read_unaligned(&progress).ok()?;
-        let bytes = fs::read(work.path().join("pages")).ok()?;
-        let whole = bytes.get(..(pages as usize).checked_mul(size_of::<PageEntry>())?)?;
-        if checksum != Progress::new(chunks, pages).checksum {
-            return None;
-        }
-        let entries = whole.chunks_exact(size_of::<PageEntry>()).map(bytemuck::pod_read_unaligned).collect();
-        let (pages_file, progress) = (work.reopen("pages").ok()?, work.reopen("progress").ok()?);
-        let path = work.path().join("pages");
-        Some((PageLog { pages: pages_file, progress, waiting: Vec::new(), written: pages, path }, chunks, entries))
-    }
-
-    /// Takes the next page's entry.
-    pub fn push(&mut self, entry: PageEntry) {
-        self.waiting.push(entry);
-    }
-
-    /// Notes that the first `chunks` chunks are whole. Their pages must have been handed to the system.
-    pub fn note(&mut self, chunks: u64) -> Result<()> {
-        let failed = || Error::io(&self.path, "write");
-        let at = self.written * size_of::<PageEntry>() as u64;
-        super::spool::write_at(&self.pages, at, bytemuck::cast_slice(&self.waiting)).map_err(failed())?;
-        self.written += self.waiting.len() as u64;
-        self.waiting.clear();
-        let progress = Progress::new(chunks, self.written);
-        super::spool::write_at(&self.progress, 0, bytemuck::bytes_of(&progress)).map_err(failed())
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn entry(page: u32) -> PageEntry {
-        PageEntry { leaves: page, nodes: 7, ..PageEntry::zeroed() }
-    }
-
-    #[test]
-    fn whole_chunks_are_found_again() {
-        let folder = tempfile::tempdir().unwrap();
-        let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
-        assert!(PageLog::reopen(&work).is_none());
-        let mut log = PageLog::create(&work).unwrap();
-        (0..3).for_each(|page| log.push(entry(page)));
-        log.note(1).unwrap();
-        (3..5).for_each(|page| log.push(entry(page)));
-        log.note(2).unwrap();
-        log.push(entry(5));
-        drop(log);
-        let (mut log, chunks, entries) = PageLog::reopen(&work).unwrap();
-        assert_eq!((chunks, entries), (2, (0..5).map(entry).collect()));
-        log.push(entry(9));
-        log.note(3).unwrap();
-        assert_eq!(PageLog::reopen(&work).unwrap().2[5], entry(9));
-        fs::write(work.path().join("progress"), [1; 24]).unwrap();
-        assert!(PageLog::reopen(&work).is_none());
-    }
 
     #[test]
     fn states_are_found_by_source_and_options() {
@@ -390,20 +301,34 @@ mod tests {
         };
         let joined = JoinedState::new(&tally, layout, [1, 2, 3, 4], &[MaterialInfo::default(), material.clone()]);
         let options = BuildOptions { source: Some("mesh".into()), ..Default::default() };
-        assert!(State::joined(&BuildOptions::default(), joined.clone()).is_none());
-        let mut state = State::joined(&options, joined).unwrap();
+        assert!(State::joined(&BuildOptions::default(), &[], joined.clone()).is_none());
+        let library = folder.path().join("a.mtl");
+        let beside = [library.clone(), folder.path().join("missing.mtl")];
+        fs::write(&library, "newmtl red").unwrap();
+        let mut state = State::joined(&options, &beside, joined).unwrap();
         let unit = Unit { cell: CellCode { level: 3, code: 77 }, triangles: 9 };
         let chunk = Chunk { units: vec![unit], extents: vec![Extent { at: 1, words: 2 }] };
         state.add_chunks(&[chunk]);
         state.save(&work).unwrap();
-        let again = State::load(&work, &BuildOptions { memory: 1 << 40, ..options.clone() }).unwrap();
+        let again = State::load(&work, &BuildOptions { memory: 1 << 40, ..options.clone() }, 1 << 20).unwrap();
         assert_eq!(again, state);
         let Reached::Joined { joined, chunks: Some(chunks), .. } = again.reached else { panic!("joined and sorted") };
         assert_eq!(chunks[0].chunk().units, [unit]);
         let back = joined.materials().remove(1);
         assert_eq!(back.kd.map(|c| c.map(f32::to_bits)), material.kd.map(|c| c.map(f32::to_bits)));
         assert_eq!((back.name, back.map_kd, joined.tally().bounds.is_empty()), ("red".into(), material.map_kd, true));
-        assert!(State::load(&work, &BuildOptions { ids: false, ..options.clone() }).is_none());
-        assert!(State::load(&work, &BuildOptions { source: Some("other".into()), ..options }).is_none());
+        assert!(State::load(&work, &BuildOptions { ids: false, ..options.clone() }, 1 << 20).is_none());
+        assert!(
+            State::load(&work, &BuildOptions { source: Some("other".into()), ..options.clone() }, 1 << 20).is_none()
+        );
+        let load = |most| State::load(&work, &options, most);
+        assert!(load(100).is_none() && load(1 << 20).is_some());
+        // A library that was missing, and one that is another now.
+        fs::write(&beside[1], "newmtl blue").unwrap();
+        assert!(load(1 << 20).is_none());
+        fs::remove_file(&beside[1]).unwrap();
+        assert!(load(1 << 20).is_some());
+        fs::write(&library, "newmtl red\nKd 1 0 0").unwrap();
+        assert!(load(1 << 20).is_none());
     }
 }

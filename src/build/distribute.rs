@@ -2,6 +2,9 @@
 //!
 //! Each chunk has a buffer; a full one is appended to the spool as an extent and noted in the chunk's list, so that a
 //! chunk keeps the order of the source. One file, however many chunks: files are dear on some systems.
+//!
+//! The more chunks, the smaller the buffers, and the more extents to be kept in mind and read one by one. Where these would be too
+//! many for the memory, chunks are made larger, and each is sorted again when its turn comes.
 
 use std::ops::Range;
 
@@ -121,7 +124,7 @@ impl Sorting<'_> {
         units: &[Unit],
         spool: Spool<'s>,
     ) -> Result<(Spool<'s>, Vec<Chunk>)> {
-        let ends = merge(units, self.limit);
+        let ends = merge(units, self.limit.max(self.least(units, records.layout)));
         let layout = records.layout;
         let mut writer = ChunkWriter::new(self.tuning.buffer_words, spool, layout, units, &ends);
         // The chunk of each unit.
@@ -140,6 +143,16 @@ impl Sorting<'_> {
         })?;
         writer.take(&waiting)?;
         writer.finish()
+    }
+
+    /// Triangles that a chunk of these units must have lest extents are too many.
+    fn least(self, units: &[Unit], layout: Layout) -> u64 {
+        let triangles = units.iter().map(|unit| unit.triangles).sum::<u64>();
+        let words = triangles * layout.words() as u64;
+        let Tuning { buffer_words, extents, .. } = *self.tuning;
+        // So many chunks share the buffers, and have an extent for each buffer full. Half of that, since chunks are cut as it fits.
+        let most = u128::from(buffer_words as u64) * u128::from(extents) / 2 / u128::from(words.max(1));
+        triangles.div_ceil(u64::try_from(most).unwrap_or(u64::MAX).min(extents / 2).max(2))
     }
 
     /// A part by chunks: each record once in each chunk it belongs to.
@@ -248,6 +261,56 @@ impl<'a> ChunkWriter<'a> {
 
     fn finish(mut self) -> Result<(Spool<'a>, Vec<Chunk>)> {
         (0..self.chunks.len()).try_for_each(|chunk| self.flush(chunk))?;
+        self.chunks.iter_mut().for_each(|chunk| chunk.extents.shrink_to_fit());
         Ok((self.spool, self.chunks))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::build::tests::TINY;
+    use crate::build::work::WorkFolder;
+    use crate::format::SplitMode;
+    use crate::geometry::{Aabb, RootCube};
+
+    #[test]
+    fn extents_are_as_many_as_they_may_be() {
+        let folder = tempfile::tempdir().unwrap();
+        let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
+        let layout = Layout::default();
+        // Triangles all over a cube, in no order.
+        let at = |i: u32, k: u32| (i.wrapping_mul(2_654_435_761).rotate_left(k) >> 8) as f32 * 0.9 / 16_777_216.0;
+        let record = |i: u32| -> Vec<u32> {
+            let corner = |j: u32| [at(i, 3), at(i, 11) + 1e-3 * j as f32, at(i, 19) + 1e-3 * (j * j) as f32];
+            [corner(0), corner(1), corner(2)].as_flattened().iter().map(|x| x.to_bits()).chain([i]).collect()
+        };
+        let mut spool = Spool::new(&work, "records", 0);
+        (0..4000).for_each(|i| spool.append(&record(i)).unwrap());
+        let bounds = Aabb { min: glam::Vec3::ZERO, max: glam::Vec3::splat(0.95) };
+        let placement = Placement { root: RootCube::around(bounds), split: SplitMode::Sah };
+        let extents = [Extent { at: 0, words: spool.len() }];
+        let records = Records { spool: &spool, extents: &extents, layout };
+        let mut chunks_of = Vec::new();
+        for most in [1 << 20, 300, 60] {
+            let tuning = Tuning { buffer_words: 3000, extents: most, ..TINY };
+            let sorting = Sorting { tuning: &tuning, placement, limit: 100, depth: 21, monitor: Monitor::silent() };
+            let units = sorting.count(records, CellCode::ROOT).unwrap().units(100, placement);
+            let goal = Spool::new(&work, "chunks", 0);
+            let (spool, chunks) = sorting.distribute(records, CellCode::ROOT, &units, goal).unwrap();
+            let made = chunks.iter().map(|chunk| chunk.extents.len() as u64).sum::<u64>();
+            assert!(made <= most, "{made} extents in {} chunks", chunks.len());
+            let mut ids = Vec::new();
+            for chunk in &chunks {
+                let words = Records { spool: &spool, extents: &chunk.extents, layout }.load().unwrap();
+                let held: Vec<u32> = words.chunks(layout.words()).map(|record| layout.id(record)).collect();
+                assert!(held.is_sorted() && held.len() as u64 == chunk.triangles());
+                ids.extend(held);
+            }
+            ids.sort_unstable();
+            assert!(ids.into_iter().eq(0..4000));
+            chunks_of.push(chunks.len());
+        }
+        assert!(chunks_of[0] > 50 && chunks_of[1] < chunks_of[0] && chunks_of[2] < chunks_of[1], "{chunks_of:?}");
     }
 }

@@ -27,6 +27,7 @@ use super::scan::Scan;
 use super::sketch::Sketch;
 use super::snap::Snap;
 use super::spool::Spool;
+use super::steps::Steps;
 use super::table::View;
 use super::work::WorkFolder;
 
@@ -135,14 +136,16 @@ impl Join<'_> {
         let shares =
             [&positions.spool, &texcoords.spool, &normals.spool].iter().filter(|s| s.memory().is_none()).count();
         let share = tuning.window_words / shares.max(1);
-        let mut positions = positions.reader(faces, wave, share)?;
-        let mut texcoords = texcoords.reader(faces, wave, share)?;
-        let mut normals = normals.reader(faces, wave, share)?;
+        let ways =
+            [positions.way(faces, wave, share), texcoords.way(faces, wave, share), normals.way(faces, wave, share)];
+        let mut steps = Steps::new(monitor, faces.triangles(), 1 + ways.iter().map(|way| way.steps()).sum::<u64>());
+        let mut positions = positions.reader(ways[0], faces, share, &mut steps)?;
+        let mut texcoords = texcoords.reader(ways[1], faces, share, &mut steps)?;
+        let mut normals = normals.reader(ways[2], faces, share, &mut steps)?;
         let mut fates = self.fates.clone();
         let mut sketch = Sketch::new();
         let mut waiting: Vec<Piece> = Vec::new();
         for first in (0..faces.blocks()).step_by(wave) {
-            monitor.check()?;
             let end = faces.blocks().min(first + wave);
             let loaded = (first..end).map(|block| faces.load(block)).collect::<Result<Vec<_>>>()?;
             let views = (
@@ -169,9 +172,7 @@ impl Join<'_> {
                 piece.bad.iter().for_each(|&(large, fate)| fates[large] = fates[large].max(fate));
             }
             waiting = pieces;
-            let t = &joined.tally;
-            let done = t.kept + t.dropped.degenerate + t.dropped.non_finite + t.dropped.bad_index;
-            monitor.progress(done, Some(faces.triangles()), "triangles");
+            steps.at(end as u64, faces.blocks() as u64)?;
         }
         write(&waiting, &mut joined.records)?;
         joined.points = sketch.estimate();

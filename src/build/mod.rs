@@ -11,7 +11,7 @@
 //! pages, materials, and a list of face blocks grow with the mesh, by far less than a byte a triangle.
 //!
 //! A build that was killed leaves its work folder and a partial file; [`BuildOptions::resume`] goes on from there
-//! (`checkpoint.rs`, `scanned.rs`).
+//! (`checkpoint.rs`, `scanned.rs`, `page_log.rs`).
 //!
 //! The bricks are true octree cells and depend on the mesh and the options only, never on the size of a chunk or the
 //! number of threads; so the same input gives the same bytes. Work runs on the current rayon pool.
@@ -32,6 +32,7 @@ mod join;
 mod materials;
 mod options;
 mod origin;
+mod page_log;
 mod phases;
 mod pipeline;
 mod polygon;
@@ -43,6 +44,7 @@ mod scanned;
 mod sketch;
 mod snap;
 mod spool;
+mod steps;
 pub(crate) mod subtree;
 mod table;
 #[cfg(test)]

@@ -176,6 +176,10 @@ pub(super) struct Tuning {
     pub grid_levels: u32,
     /// Words of write buffers over all chunks while distributing.
     pub buffer_words: usize,
+    /// Extents of all chunks together, about: 16 bytes each until the pages are written.
+    pub extents: u64,
+    /// Most materials that are noted for a build to be taken up; they are held twice then.
+    pub noted_materials: usize,
     /// Bytes of what is held of each page until the end.
     pub top_bytes: u64,
 }
@@ -199,6 +203,8 @@ impl Tuning {
             wave_bytes: w / 4,
             grid_levels: if w >= 256 << 20 { 7 } else { 6 },
             buffer_words: words(w / 8),
+            extents: w / 32 / 16,
+            noted_materials: (w as usize >> 12).min(1 << 16),
             top_bytes: w / 8,
         }
     }

@@ -21,28 +21,21 @@ pub struct Phase {
     pub peak_rss_bytes: u64,
 }
 
-/// The phases in order, and what time each takes of a hundred, about: a scan of ten million triangles on two cores. What has
-/// no time is needed now and then only.
+/// The phases in order, and what time each takes, about: of a hundred for a scan of ten million triangles on two cores, which has
+/// nothing to split and is counted by the join.
 const USUAL: [(&str, f64); 7] = [
     ("scan", 10.0),
     ("join", 14.0),
-    ("split", 0.0),
-    ("count", 0.0),
+    ("split", 8.0),
+    ("count", 2.0),
     (SORTING, 10.0),
     ("chunks", 65.0),
     ("stitch", 1.0),
 ];
 /// The phase that a mesh skips whose triangles fit in memory.
 const SORTING: &str = "distribute";
-
-/// Where in the whole a phase begins and ends; `sorts`: whether triangles are sorted.
-fn part_of(name: &str, sorts: bool) -> Option<[f64; 2]> {
-    let phases = || USUAL.iter().filter(|(name, _)| sorts || *name != SORTING);
-    let whole: f64 = phases().map(|(_, time)| time).sum();
-    let before: f64 = phases().take_while(|phase| phase.0 != name).map(|(_, time)| time).sum();
-    let time = phases().find(|phase| phase.0 == name)?.1;
-    Some([before, before + time].map(|time| time / whole))
-}
+/// Phases that are needed now and then only, which shows when they begin.
+const SELDOM: [&str; 2] = ["split", "count"];
 
 /// Times phases; a name that comes again adds to its first entry.
 pub(super) struct Phases<'a> {
@@ -52,44 +45,51 @@ pub(super) struct Phases<'a> {
     told: bool,
     /// Whether triangles are likely to be sorted.
     sorts: bool,
-    /// The phase that reached farthest, and how far that is of the whole.
-    reached: (&'static str, f64),
+    /// The phase that is farthest in the order, by its place there, and where in the whole it begins and ends.
+    farthest: Option<(usize, [f64; 2])>,
     done: Vec<Phase>,
     current: Option<(&'static str, Instant, f64, [u64; 2])>,
 }
 
 impl<'a> Phases<'a> {
     pub fn new(memory: u64, monitor: Monitor<'a>) -> Self {
-        Phases {
-            memory,
-            monitor,
-            told: peak() > memory,
-            sorts: false,
-            reached: ("", 0.0),
-            done: Vec::new(),
-            current: None,
-        }
+        Phases { memory, monitor, told: peak() > memory, sorts: false, farthest: None, done: Vec::new(), current: None }
     }
 
     /// Ends the current phase and begins another.
     pub fn begin(&mut self, name: &'static str) {
         self.end();
-        // What is sorted again for an overfull cell goes on within the phase that found it.
-        let part =
-            part_of(name, self.sorts).filter(|[from, _]| self.reached.0 == name || *from >= self.reached.1 - 1e-9);
-        if let Some([_, to]) = part {
-            self.reached = (name, to);
-        }
+        let part = self.part(name);
         self.monitor.phase_of(name, part);
         self.current = Some((name, Instant::now(), cpu_seconds(), transferred()));
+    }
+
+    /// Where in the whole a phase that begins now begins and ends; `None` if a later one has begun, within which it goes on.
+    ///
+    /// What is left of the whole is shared by the phases to come, so that one that was not expected moves no other back.
+    fn part(&mut self, name: &str) -> Option<[f64; 2]> {
+        let place = USUAL.iter().position(|phase| phase.0 == name)?;
+        let is_expected = |name: &str| !SELDOM.contains(&name) && (self.sorts || name != SORTING);
+        let time = |(name, time): &(&str, f64)| if is_expected(name) { *time } else { 0.0 };
+        let after: f64 = USUAL[place + 1..].iter().map(time).sum();
+        let left = USUAL[place].1 + after;
+        let from = match self.farthest {
+            Some((farthest, _)) if farthest > place => return None,
+            Some((farthest, part)) if farthest == place => return Some(part),
+            Some((_, [_, to])) => to,
+            None => {
+                let before: f64 = USUAL[..place].iter().map(time).sum();
+                before / (before + left)
+            }
+        };
+        let part = [from, from + (1.0 - from) * USUAL[place].1 / left];
+        self.farthest = Some((place, part));
+        Some(part)
     }
 
     /// Says whether triangles are likely to be sorted into chunks: the phases to come take other parts of the whole then.
     pub fn expect_sorting(&mut self, sorts: bool) {
         self.sorts = sorts;
-        if let Some([_, to]) = part_of(self.reached.0, sorts) {
-            self.reached.1 = to;
-        }
     }
 
     /// Ends the last phase.
@@ -163,36 +163,50 @@ mod tests {
     use std::sync::Mutex;
     use std::sync::atomic::AtomicBool;
 
-    #[test]
-    fn phases_fill_the_whole_one_after_the_other() {
-        for sorts in [false, true] {
-            let mut end = 0.0;
-            for (name, _) in USUAL.iter().filter(|(name, _)| sorts || *name != SORTING) {
-                let [from, to] = part_of(name, sorts).unwrap();
-                assert!((from - end).abs() < 1e-9 && to >= from, "{name}");
-                end = to;
-            }
-            assert!((end - 1.0).abs() < 1e-9);
-        }
-        assert_eq!(part_of(SORTING, false), None);
-    }
-
-    #[test]
-    fn what_is_sorted_again_is_no_part_of_its_own() {
+    /// The parts that phases are told to be, when they begin in this order.
+    fn parts(sorts: bool, names: &[&'static str]) -> Vec<Option<[f64; 2]>> {
         let told = Mutex::new(Vec::new());
         let sink = |event: Event| {
-            if let Event::Phase { name, part } = event {
-                told.lock().unwrap().push((name, part.is_some()));
+            if let Event::Phase { part, .. } = event {
+                told.lock().unwrap().push(part);
             }
         };
         let stop = AtomicBool::new(false);
         let mut phases = Phases::new(u64::MAX, Monitor::new(&sink, &stop));
-        phases.begin("scan");
-        phases.expect_sorting(true);
-        let rest = ["join", "distribute", "chunks", "count", "distribute", "chunks", "stitch"];
-        rest.into_iter().for_each(|name| phases.begin(name));
-        assert_eq!(phases.finish().len(), 6);
-        let parts: Vec<bool> = told.lock().unwrap().iter().map(|(_, part)| *part).collect();
-        assert_eq!(parts, [true, true, true, true, false, false, true, true]);
+        phases.expect_sorting(sorts);
+        names.iter().for_each(|name| phases.begin(name));
+        assert!(phases.finish().iter().all(|phase| names.contains(&phase.name)));
+        told.into_inner().unwrap()
+    }
+
+    #[test]
+    fn phases_fill_the_whole_one_after_the_other() {
+        for (sorts, names) in [
+            (false, &["scan", "join", "chunks", "stitch"][..]),
+            (true, &["scan", "join", "distribute", "chunks", "stitch"]),
+            (true, &["scan", "join", "split", "count", "distribute", "chunks", "stitch"]),
+            // Sorting shows only when it begins.
+            (false, &["scan", "join", "count", "distribute", "chunks", "stitch"]),
+        ] {
+            let mut end = 0.0;
+            for part in parts(sorts, names) {
+                let [from, to] = part.unwrap();
+                assert!((from - end).abs() < 1e-9 && to > from + 1e-3, "{names:?}: {from} {to}");
+                end = to;
+            }
+            assert!((end - 1.0).abs() < 1e-9);
+        }
+        // A build that goes on begins where the one before was.
+        let [from, to] = parts(true, &["chunks"])[0].unwrap();
+        assert!((from - 0.34).abs() < 1e-9 && (to - 0.99).abs() < 1e-9);
+    }
+
+    #[test]
+    fn what_is_sorted_again_is_no_part_of_its_own() {
+        let names = ["scan", "join", "distribute", "chunks", "count", "distribute", "chunks", "stitch"];
+        let parts = parts(true, &names);
+        let told: Vec<bool> = parts.iter().map(Option::is_some).collect();
+        assert_eq!(told, [true, true, true, true, false, false, true, true]);
+        assert_eq!(parts[3], parts[6]);
     }
 }

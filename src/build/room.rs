@@ -1,11 +1,12 @@
 //! Whether there is room on disk for what a build will write, asked before it is written.
 //!
-//! Before the scan only the input's size is known: a triangle takes about as much text as its record takes bytes, and
-//! records are on disk twice while they are sorted. After it the triangles are counted, and so is the space. Where large triangles are cut
+//! Before the scan only the input's size is known, by which triangles are guessed; of what comes through a pipe, nothing: then it is asked
+//! while it is read, whenever there are twice as many. Records are on disk twice while they are sorted. After the scan the triangles are
+//! counted, and so is the space. Where large triangles are cut
 //! ([`super::early`]), records of parts take more: 1.6 times as much where there are no attributes, up to twice that with the most cuts. That shows only when cuts are
 //! found, and is asked once more then.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use crate::error::{Error, Result};
 use crate::event::Monitor;
@@ -13,21 +14,49 @@ use crate::event::Monitor;
 /// Bytes of the output for each triangle, about.
 const OUTPUT: u64 = 24;
 
-/// Fails if a source of `size` bytes will need more temporary space than `folder` has; says how much that is.
+/// Bytes of the records of a triangle without attributes, twice.
+const RECORDS: u64 = 80;
+/// Bytes of a triangle's vertices and corners, which are gone when records are sorted.
+const SCANNED: u64 = 18;
+
+/// Fails if a source of so many triangles, about, will need more temporary space than `folder` has; says how much that is.
 ///
 /// What is expected to stay in `memory` needs none.
-pub(super) fn check_before(size: Option<u64>, memory: u64, folder: &Path, monitor: Monitor<'_>) -> Result<()> {
-    match size {
-        Some(size) if 2 * size > memory => {
-            let needed = 2 * size;
-            monitor.note(format!(
-                "about {} MB of temporary files will lie in {}",
-                needed / 1_000_000,
-                folder.display()
-            ));
-            check(needed, folder)
+pub(super) fn check_before(triangles: Option<u64>, memory: u64, folder: &Path, monitor: Monitor<'_>) -> Result<()> {
+    let Some(needed) = triangles.map(|triangles| RECORDS * triangles).filter(|&needed| needed > memory) else {
+        return Ok(());
+    };
+    monitor.note(format!("about {} MB of temporary files will lie in {}", needed / 1_000_000, folder.display()));
+    check(needed, folder)
+}
+
+/// Asks for room while a source of unknown size is read.
+pub(super) struct Growth {
+    folder: PathBuf,
+    /// When to ask next.
+    triangles: u64,
+}
+
+impl Growth {
+    /// Asks for room in `folder` from so many triangles on.
+    pub fn new(folder: &Path, triangles: u64) -> Growth {
+        Growth { folder: folder.to_owned(), triangles: triangles.max(1) }
+    }
+
+    /// Fails if the triangles so far will need more than there is; says how much that is, when they are twice as many as the last
+    /// time.
+    pub fn check(&mut self, triangles: u64, monitor: Monitor<'_>) -> Result<()> {
+        if triangles < self.triangles {
+            return Ok(());
         }
-        _ => Ok(()),
+        self.triangles = 2 * triangles;
+        monitor.note(format!(
+            "{:.1} million triangles so far; about {} MB of temporary files for these will lie in {}",
+            triangles as f64 * 1e-6,
+            RECORDS * triangles / 1_000_000,
+            self.folder.display()
+        ));
+        check((RECORDS - SCANNED) * triangles, &self.folder)
     }
 }
 
@@ -102,8 +131,13 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let silent = Monitor::silent();
         assert!(
-            check_before(Some(1 << 60), 1 << 30, folder.path(), silent).is_err() || available(folder.path()).is_none()
+            check_before(Some(1 << 50), 1 << 30, folder.path(), silent).is_err() || available(folder.path()).is_none()
         );
+        let mut growth = Growth::new(folder.path(), 1000);
+        growth.check(999, silent).unwrap();
+        assert!(growth.check(1 << 50, silent).is_err() || available(folder.path()).is_none());
+        // Not asked again before there are twice as many.
+        growth.check((1 << 51) - 1, silent).unwrap();
         check_before(Some(1 << 20), 1 << 30, folder.path(), silent).unwrap();
         check_before(None, 1 << 30, folder.path(), silent).unwrap();
         check_after(1 << 10, 10, folder.path(), &folder.path().join("a.oct")).unwrap();

@@ -11,6 +11,7 @@ use crate::mesh::{FaceBatch, MeshSink, SourceInfo, TriangleSource};
 use super::faces::Faces;
 use super::options::{BuildOptions, Tuning};
 use super::record::Layout;
+use super::room::Growth;
 use super::scanned::SPOOLS;
 use super::spool::Spool;
 use super::table::{Kind, Table};
@@ -58,11 +59,12 @@ impl<'a> Scan<'a> {
     }
 }
 
-/// Reads the whole source.
+/// Reads the whole source. `growth`: asks for room while it grows.
 pub(super) fn scan<'a>(
     source: &mut dyn TriangleSource,
     work: &'a WorkFolder,
     tuning: &Tuning,
+    growth: Option<Growth>,
     monitor: Monitor<'_>,
 ) -> Result<Scan<'a>> {
     let share = tuning.table_words;
@@ -75,7 +77,7 @@ pub(super) fn scan<'a>(
         bounds: Aabb::EMPTY,
         index: None,
     };
-    let mut sink = Sink { scan, share, monitor };
+    let mut sink = Sink { scan, share, growth, monitor };
     let info = source.read(&mut sink, monitor)?;
     let mut scan = sink.scan;
     scan.faces.flush()?;
@@ -87,6 +89,7 @@ struct Sink<'a, 'm> {
     scan: Scan<'a>,
     /// Words of all tables in memory together.
     share: usize,
+    growth: Option<Growth>,
     monitor: Monitor<'m>,
 }
 
@@ -126,7 +129,9 @@ impl MeshSink for Sink<'_, '_> {
 
     fn faces(&mut self, faces: &FaceBatch) -> Result<()> {
         self.monitor.check()?;
-        self.scan.faces.append(faces)
+        self.scan.faces.append(faces)?;
+        let triangles = self.scan.faces.triangles();
+        self.growth.as_mut().map_or(Ok(()), |growth| growth.check(triangles, self.monitor))
     }
 }
 

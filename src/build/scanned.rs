@@ -4,6 +4,8 @@
 //! the blocks of faces and the faces that were cut as they came: it grows with the mesh, so it is no part of the state.
 //! Nothing is noted where the faces fit in memory: then the mesh is small for it, and quick to read again.
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 use super::checkpoint::{MaterialState, State, bits, bounds, materials_of, states_of};
@@ -32,8 +34,14 @@ pub(super) struct ScannedState {
 pub(super) const SPOOLS: [&str; 5] = ["positions", "texcoords", "normals", "faces", "index"];
 
 /// Notes what the scan found, if its faces are in a file and the source can be told from others.
-pub(super) fn note<'a>(scan: &mut Scan<'a>, work: &'a WorkFolder, options: &BuildOptions) -> Result<()> {
-    if !scan.faces.is_spilled() || !super::checkpoint::can_note(&scan.info.materials) || options.source.is_none() {
+pub(super) fn note<'a>(
+    scan: &mut Scan<'a>,
+    work: &'a WorkFolder,
+    options: &BuildOptions,
+    tuning: &Tuning,
+) -> Result<()> {
+    let can_note = super::checkpoint::can_note(&scan.info.materials, &scan.info.files, tuning);
+    if !scan.faces.is_spilled() || !can_note || options.source.is_none() {
         return Ok(());
     }
     let [positions, texcoords, normals] = scan.tables();
@@ -51,12 +59,19 @@ pub(super) fn note<'a>(scan: &mut Scan<'a>, work: &'a WorkFolder, options: &Buil
         materials: states_of(&scan.info.materials),
     };
     scan.index = Some(index);
-    State::scanned(options, state).map_or(Ok(()), |state| state.save(work))
+    State::scanned(options, &scan.info.files, state).map_or(Ok(()), |state| state.save(work))
 }
 
-/// The scan of a killed build, if all of it is there and its blocks are not too large for the memory of this one.
-pub(super) fn taken_up<'w>(state: &ScannedState, work: &'w WorkFolder, tuning: &Tuning) -> Option<Scan<'w>> {
-    if state.counts.block_corners > tuning.block_corners {
+/// The scan of a killed build, if all of it is there and its blocks are not too large for the memory of this one. `files`: what
+/// the source read beside its own.
+pub(super) fn taken_up<'w>(
+    state: &ScannedState,
+    files: Vec<PathBuf>,
+    work: &'w WorkFolder,
+    tuning: &Tuning,
+) -> Option<Scan<'w>> {
+    // What remains of memory, and so the size of blocks, is not quite the same in each run. This one has no reader that takes any.
+    if state.counts.block_corners > tuning.block_corners + tuning.block_corners / 8 {
         return None;
     }
     let spool = |i: usize| Spool::reopen(work, SPOOLS[i], state.words[i]);
@@ -70,6 +85,7 @@ pub(super) fn taken_up<'w>(state: &ScannedState, work: &'w WorkFolder, tuning: &
             materials: materials_of(&state.materials),
             too_few_corners: state.too_few_corners,
             bad_index: state.bad_index,
+            files,
         },
         bounds: bounds(state.bounds),
         index: Some(index),

@@ -4,20 +4,24 @@
 //! fewer bytes; the scan has noted which parts of a table each block of faces touches, so both are known beforehand.
 //!
 //! - **Window**: where faces lie near their vertices in the file, as they do in most, the parts that a wave of blocks
-//!   needs are held, and the least recently used make room for others.
+//!   needs are held, and the least recently used make room for others. A block that touches many parts, as one does along the
+//!   seam of two patches, looks its items up by itself, in the order of the table.
 //! - **Answers** ([`super::answers`]): else numbers are sorted by parts of the table, looked up part by part, and read
 //!   back in the order of the faces.
 
+use rayon::prelude::*;
+
 use super::answers::Answers;
-use super::blocks::LoadedBlock;
+use super::blocks::{LoadedBlock, Touched};
 use super::faces::Faces;
 use super::spool::Spool;
+use super::steps::Steps;
 use super::words::Words;
 use crate::error::Result;
 
 /// log2 of the items of a part.
 pub(super) const PART: u32 = 13;
-/// A block of faces that touches more parts than this has no locality worth the name.
+/// The parts that a block touches are listed if they are not more than this.
 pub(super) const FEW: usize = 64;
 
 /// Which of a face's numbers name items of a table.
@@ -49,32 +53,60 @@ impl<'a, const N: usize> Table<'a, N> {
     }
 
     /// Decides how to read it for all blocks of `faces`, taken `wave` at a time, with `share` words of memory.
-    pub fn reader<'t>(&'t self, faces: &Faces<'_>, wave: usize, share: usize) -> Result<Reader<'t, N>> {
-        if let Some(words) = self.spool.memory() {
-            return Ok(Reader::Whole(bytemuck::cast_slice(words)));
+    pub fn way(&self, faces: &Faces<'_>, wave: usize, share: usize) -> Way {
+        if self.spool.memory().is_some() {
+            return Way::Whole;
         }
-        let capacity = share / (N << PART);
-        let windowed = window_loads(faces, self.kind, wave, capacity).map(|loads| loads * (N << PART) as u64);
+        let windowed = window_parts(faces, self.kind, wave, share / (N << PART)) * (N << PART) as u64;
         // Each number is written and read once, each item likewise.
         let answered = faces.corners() * 2 * (1 + N as u64);
-        match windowed {
-            Some(words) if words <= answered => Ok(Reader::Window(Window::new(self, capacity)?)),
-            _ => Ok(Reader::Answers(Answers::new(self, faces, share)?)),
+        if windowed <= answered { Way::Window } else { Way::Answers }
+    }
+
+    /// Makes ready to read it. Where that is a [step](Way::steps) of its own, `steps` says how far it is.
+    pub fn reader<'t>(
+        &'t self,
+        way: Way,
+        faces: &Faces<'_>,
+        share: usize,
+        steps: &mut Steps<'_>,
+    ) -> Result<Reader<'t, N>> {
+        match (way, self.spool.memory()) {
+            (Way::Whole, Some(words)) => Ok(Reader::Whole(bytemuck::cast_slice(words))),
+            (Way::Answers, _) => Ok(Reader::Answers(Answers::new(self, faces, share, steps)?)),
+            _ => Ok(Reader::Window(Window::new(self, share / (N << PART))?)),
         }
     }
 }
 
-/// How many parts a window of `capacity` parts has to load; `None` if a wave needs more than it holds.
-fn window_loads(faces: &Faces<'_>, kind: Kind, wave: usize, capacity: usize) -> Option<u64> {
-    let mut recent = Recent::new(capacity);
+/// How a table is read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Way {
+    /// In place.
+    Whole,
+    Window,
+    Answers,
+}
+
+impl Way {
+    /// How many times faces are gone over before they are joined.
+    pub fn steps(self) -> u64 {
+        u64::from(self == Way::Answers)
+    }
+}
+
+/// How many parts are loaded by a window of `capacity` parts, and by blocks that look up by themselves, at most.
+fn window_parts(faces: &Faces<'_>, kind: Kind, wave: usize, capacity: usize) -> u64 {
+    let (mut recent, mut alone) = (Recent::new(capacity), 0);
     for first in (0..faces.blocks()).step_by(wave) {
         for block in first..faces.blocks().min(first + wave) {
-            for &part in faces.touched(block, kind)? {
-                recent.hold(part, first)?;
+            let touched = faces.touched(block, kind);
+            if !recent.hold_all(touched, first, |_, _| Ok(())).unwrap_or(false) {
+                alone += touched.len();
             }
         }
     }
-    Some(recent.loads)
+    recent.loads + alone
 }
 
 /// Which parts are held, and where; the least recently used goes first.
@@ -118,6 +150,24 @@ impl Recent {
         Some((place, true))
     }
 
+    /// Holds all parts that a block touches, if it can; `load` is given the part and the place of each that is to be loaded.
+    fn hold_all(
+        &mut self,
+        touched: &Touched,
+        wave: usize,
+        mut load: impl FnMut(u32, usize) -> Result<()>,
+    ) -> Result<bool> {
+        let Touched::Few(parts) = touched else { return Ok(false) };
+        for &part in parts {
+            match self.hold(part, wave) {
+                None => return Ok(false),
+                Some((place, true)) => load(part, place)?,
+                Some((_, false)) => {}
+            }
+        }
+        Ok(true)
+    }
+
     fn place(&self, part: u32) -> Option<usize> {
         (*self.places.get(part as usize)? as usize).checked_sub(1)
     }
@@ -135,7 +185,7 @@ pub(super) enum View<'v, const N: usize> {
     Whole(&'v [[f32; N]]),
     Window(&'v Window<'v, N>),
     /// One for each corner of the block.
-    Answers(Vec<[f32; N]>),
+    Items(Vec<[f32; N]>),
 }
 
 impl<'t, const N: usize> Reader<'t, N> {
@@ -144,12 +194,16 @@ impl<'t, const N: usize> Reader<'t, N> {
         match self {
             Reader::Whole(items) => Ok(wave.iter().map(|_| View::Whole(items)).collect()),
             Reader::Window(window) => {
-                window.hold(first, wave.len(), faces)?;
+                let held = window.hold(first, wave.len(), faces)?;
                 let window: &Window<'_, N> = window;
-                Ok(wave.iter().map(|_| View::Window(window)).collect())
+                let view = |(block, held): (&LoadedBlock, bool)| match held {
+                    true => Ok(View::Window(window)),
+                    false => window.look_up(block.view().numbers(window.table.kind)).map(View::Items),
+                };
+                wave.par_iter().zip(held).map(view).collect()
             }
             Reader::Answers(answers) => {
-                wave.iter().map(|block| Ok(View::Answers(answers.of_block(&block.view())?))).collect()
+                wave.iter().map(|block| Ok(View::Items(answers.of_block(&block.view())?))).collect()
             }
         }
     }
@@ -162,7 +216,7 @@ impl<const N: usize> View<'_, N> {
         match self {
             View::Whole(items) => items[number as usize],
             View::Window(window) => window.get(number),
-            View::Answers(items) => items[corner],
+            View::Items(items) => items[corner],
         }
     }
 }
@@ -179,20 +233,37 @@ impl<'t, const N: usize> Window<'t, N> {
         Ok(Window { table, recent: Recent::new(capacity), words: Words::zeroed(capacity * (N << PART))? })
     }
 
-    /// Holds all parts that the blocks from `first` on touch.
-    fn hold(&mut self, first: usize, blocks: usize, faces: &Faces<'_>) -> Result<()> {
-        for block in first..first + blocks {
-            // The window was chosen because all blocks touch few parts, and no wave more than it holds.
-            for &part in faces.touched(block, self.table.kind).unwrap_or_default() {
-                if let Some((place, true)) = self.recent.hold(part, first) {
-                    let from = u64::from(part) * (N << PART) as u64;
-                    let len = ((N << PART) as u64).min(self.table.spool.len().saturating_sub(from)) as usize;
-                    let at = place * (N << PART);
-                    self.table.spool.read(from, &mut self.words[at..at + len])?;
-                }
+    /// Holds the parts that the blocks from `first` on touch; for each block, whether all of them are there.
+    fn hold(&mut self, first: usize, blocks: usize, faces: &Faces<'_>) -> Result<Vec<bool>> {
+        let Window { table, recent, words } = self;
+        let mut load = |part: u32, place: usize| {
+            let from = u64::from(part) * (N << PART) as u64;
+            let len = ((N << PART) as u64).min(table.spool.len().saturating_sub(from)) as usize;
+            let at = place * (N << PART);
+            table.spool.read(from, &mut words[at..at + len])
+        };
+        (first..first + blocks)
+            .map(|block| recent.hold_all(faces.touched(block, table.kind), first, &mut load))
+            .collect()
+    }
+
+    /// The items of these numbers, zeros for those that are not in the table. The table is read from the first to the last, a part
+    /// at a time.
+    fn look_up(&self, numbers: &[u32]) -> Result<Vec<[f32; N]>> {
+        let known = numbers.iter().zip(0u64..).filter(|&(&number, _)| u64::from(number) < self.table.len());
+        let mut order: Vec<u64> = known.map(|(&number, corner)| u64::from(number) << 32 | corner).collect();
+        order.sort_unstable();
+        let (mut items, mut words) = (vec![[0.0; N]; numbers.len()], Vec::new());
+        for run in order.chunk_by(|a, b| a >> (32 + PART) == b >> (32 + PART)) {
+            let (first, last) = (run[0] >> 32, run[run.len() - 1] >> 32);
+            words.resize(N * (last - first + 1) as usize, 0);
+            self.table.spool.read(N as u64 * first, &mut words)?;
+            for &entry in run {
+                let at = N * ((entry >> 32) - first) as usize;
+                items[entry as u32 as usize] = std::array::from_fn(|i| f32::from_bits(words[at + i]));
             }
         }
-        Ok(())
+        Ok(items)
     }
 
     #[inline]
@@ -208,10 +279,11 @@ impl<'t, const N: usize> Window<'t, N> {
 mod tests {
     use super::*;
     use crate::build::work::WorkFolder;
-    use crate::mesh::FaceBatch;
+    use crate::event::Monitor;
+    use crate::mesh::{FaceBatch, NO_INDEX};
 
     /// Reads a table for all blocks, and compares what comes with what is in it.
-    fn check(numbers: &[u32], block_corners: usize, share: usize, expect: &str) {
+    fn check(numbers: &[u32], block_corners: usize, share: usize, expect: Way) {
         let folder = tempfile::tempdir().unwrap();
         let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
         let count = 100_000u32;
@@ -223,13 +295,10 @@ mod tests {
         let mut faces = Faces::new(Spool::new(&work, "faces", 0), block_corners);
         faces.append(&FaceBatch { corners: numbers.to_vec(), ..Default::default() }).unwrap();
         faces.flush().unwrap();
-        let mut reader = table.reader(&faces, 2, share).unwrap();
-        let way = match reader {
-            Reader::Whole(_) => "whole",
-            Reader::Window(_) => "window",
-            Reader::Answers(_) => "answers",
-        };
+        let way = table.way(&faces, 2, share);
         assert_eq!(way, expect);
+        let mut steps = Steps::new(Monitor::silent(), 1, way.steps() + 1);
+        let mut reader = table.reader(way, &faces, share, &mut steps).unwrap();
         let mut seen = 0;
         for first in (0..faces.blocks()).step_by(2) {
             let end = faces.blocks().min(first + 2);
@@ -251,9 +320,9 @@ mod tests {
     #[test]
     fn faces_near_their_vertices_take_a_window() {
         let numbers: Vec<u32> = (0..33_000).flat_map(|i| [3 * i, 3 * i + 1, 3 * i / 2]).collect();
-        check(&numbers, 3000, 8 * (3 << PART), "window");
+        check(&numbers, 3000, 8 * (3 << PART), Way::Window);
         // One part is too little.
-        check(&numbers, 3000, 3 << PART, "answers");
+        check(&numbers, 3000, 3 << PART, Way::Answers);
     }
 
     #[test]
@@ -262,7 +331,50 @@ mod tests {
         numbers[500] = 100_000;
         numbers[700] = u32::MAX;
         for share in [2 * (3 << PART), 5 * (3 << PART)] {
-            check(&numbers, 3000, share, "answers");
+            check(&numbers, 3000, share, Way::Answers);
         }
+    }
+
+    /// Corners of blocks that are near each other in the table, but for every tenth block's.
+    fn with_seams(blocks: u32, part: u32) -> Vec<u32> {
+        let number = |i: u32| match i / 9000 % 10 {
+            3 => (u64::from(i) * 7_919_173 % 100_000) as u32,
+            _ => i / 10 % 100_000 / part * part + i % part,
+        };
+        (0..blocks * 9000).map(number).collect()
+    }
+
+    #[test]
+    fn blocks_along_seams_look_up_by_themselves() {
+        let mut numbers = with_seams(100, 1 << 13);
+        numbers[31_000] = 100_000;
+        numbers[31_001] = NO_INDEX;
+        check(&numbers, 9000, 6 * (3 << PART), Way::Window);
+        // Two blocks of a wave do not find room at the same time.
+        let apart: Vec<u32> =
+            (0..90_000).map(|i| if i / 9000 % 2 == 0 { i % 8192 } else { 50_000 + i % 8192 }).collect();
+        check(&apart, 9000, 2 * (3 << PART), Way::Window);
+    }
+
+    #[test]
+    fn looking_up_can_be_interrupted() {
+        let folder = tempfile::tempdir().unwrap();
+        let work = WorkFolder::new(folder.path(), "a.oct".as_ref(), true).unwrap();
+        let mut table = Table::<2>::new(Spool::new(&work, "texcoords", 0), Kind::Texcoord);
+        table.append(&[[0.5; 2]; 100]).unwrap();
+        let mut faces = Faces::new(Spool::new(&work, "faces", 0), 30);
+        let corners: Vec<u32> = (0..99).collect();
+        faces.append(&FaceBatch { texcoords: corners.clone(), corners, ..Default::default() }).unwrap();
+        faces.flush().unwrap();
+        let (told, stop) = (std::sync::atomic::AtomicU64::new(0), std::sync::atomic::AtomicBool::new(false));
+        let stop_at_third = |_| {
+            stop.store(
+                told.fetch_add(1, std::sync::atomic::Ordering::Relaxed) == 2,
+                std::sync::atomic::Ordering::Relaxed,
+            )
+        };
+        let mut steps = Steps::new(Monitor::new(&stop_at_third, &stop), 33, 2);
+        assert!(matches!(table.reader(Way::Answers, &faces, 300, &mut steps), Err(crate::Error::Interrupted)));
+        assert_eq!(told.into_inner(), 3);
     }
 }

@@ -137,6 +137,8 @@ pub(super) const TINY: Tuning = Tuning {
     wave_bytes: 1 << 30,
     grid_levels: 2,
     buffer_words: 300,
+    extents: 1 << 20,
+    noted_materials: 1 << 16,
     top_bytes: 1 << 30,
 };
 

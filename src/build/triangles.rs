@@ -16,7 +16,7 @@ use super::origin::{suggestion, warn_if_merged};
 use super::phases::Phases;
 use super::polygon::CLIP_LIMIT;
 use super::record::Layout;
-use super::room::{check_after, check_before};
+use super::room::{Growth, check_after, check_before};
 use super::scan::{Scan, scan};
 use super::scanned;
 use super::snap::Snap;
@@ -68,17 +68,18 @@ pub(super) fn read<'w>(
     phases: &mut Phases<'_>,
     monitor: Monitor<'_>,
 ) -> Result<Scan<'w>> {
-    check_before(source.size_hint(), options.memory, work.temp(), monitor)?;
-    // A triangle takes some 40 bytes of text.
-    let sorted = 40 * tuning.chunk(Layout::default());
-    phases.expect_sorting(source.size_hint().is_none_or(|size| size > sorted));
+    let triangles = source.triangles_hint();
+    check_before(triangles, options.memory, work.temp(), monitor)?;
+    phases.expect_sorting(triangles.is_none_or(|triangles| triangles > tuning.chunk(Layout::default())));
     phases.begin("scan");
-    let mut scan = scan(source, work, tuning, monitor)?;
+    // What is expected to stay in memory needs no room.
+    let growth = triangles.is_none().then(|| Growth::new(work.temp(), options.memory / 40));
+    let mut scan = scan(source, work, tuning, growth, monitor)?;
     if scan.is_spilled() {
         // Memory goes to windows on the tables.
         scan.faces.spill()?;
     }
-    scanned::note(&mut scan, work, options)?;
+    scanned::note(&mut scan, work, options, tuning)?;
     Ok(scan)
 }
 
@@ -118,24 +119,30 @@ pub(super) fn join_all<'w>(
         materials: std::mem::take(&mut scan.info.materials),
         root,
     };
-    let noted = joined.records.memory().is_none() && can_note(&mesh.materials);
-    let state = if noted { State::joined(options, mesh.state(joined.records.len())) } else { None };
+    let files = &scan.info.files;
+    let noted = joined.records.memory().is_none() && can_note(&mesh.materials, files, &tuning);
+    let state = if noted { State::joined(options, files, mesh.state(joined.records.len())) } else { None };
     state.as_ref().map_or(Ok(()), |state| state.save(work))?;
     Ok(Triangles { mesh, stage: Stage::Joined(joined.records, grid.filter(|_| root == guess.root)), state })
 }
 
 /// What a killed build left, if it is whole.
 pub(super) fn taken_up<'w>(work: &'w WorkFolder, options: &BuildOptions, tuning: &Tuning) -> Option<Left<'w>> {
-    let state = State::load(work, options)?;
+    let state = State::load(work, options, tuning.top_bytes)?;
     let (mesh, stage) = match &state.reached {
-        Reached::Scanned(state) => return scanned::taken_up(state, work, tuning).map(Left::Scanned),
+        Reached::Scanned(scanned) => {
+            work.keep(&["state"].iter().chain(&scanned::SPOOLS).copied().collect::<Vec<_>>());
+            return scanned::taken_up(scanned, state.beside(), work, tuning).map(Left::Scanned);
+        }
         Reached::Joined { joined, chunks: Some(chunks), .. } => {
             let end = chunks.iter().map(ChunkState::end).max().unwrap_or(0);
             let chunks = chunks.iter().map(ChunkState::chunk).collect();
+            work.keep(&["state", "chunks0", "pages", "progress"]);
             (Mesh::of(joined), Stage::Sorted(Spool::reopen(work, "chunks0", end)?, chunks))
         }
         Reached::Joined { joined, parts, chunks: None } => {
             let name = if *parts { "parts" } else { "records" };
+            work.keep(&["state", name]);
             (Mesh::of(joined), Stage::Joined(Spool::reopen(work, name, joined.record_words)?, None))
         }
     };

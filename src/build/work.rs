@@ -22,8 +22,13 @@ impl WorkFolder {
     /// Fails if nothing can be written in `temp`, which is tried, so that it is told before a long scan.
     pub fn new(temp: &Path, output: &Path, first: bool) -> Result<WorkFolder> {
         tempfile::tempfile_in(temp).map_err(Error::io(temp, "create a temporary file in this folder"))?;
-        let whole = std::path::absolute(output).unwrap_or_else(|_| output.to_owned());
-        let name = output.file_name().unwrap_or_default().to_string_lossy();
+        let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        // Whatever way leads there.
+        let folder =
+            folder.canonicalize().or_else(|_| std::path::absolute(folder)).unwrap_or_else(|_| folder.to_owned());
+        let whole = folder.join(output.file_name().unwrap_or_default());
+        // Systems allow 255 bytes; the hash tells long names apart.
+        let name: String = output.file_name().unwrap_or_default().to_string_lossy().chars().take(50).collect();
         let hash = xxh3_64(whole.as_os_str().as_encoded_bytes()) as u32;
         let unique = if first { String::new() } else { format!("-{}", std::process::id()) };
         Ok(WorkFolder { path: temp.join(format!(".{name}-{hash:08x}{unique}.octbuild")) })
@@ -61,6 +66,13 @@ impl WorkFolder {
     pub fn reopen(&self, name: &str) -> Result<File> {
         let path = self.path.join(name);
         OpenOptions::new().read(true).write(true).open(&path).map_err(Error::io(&path, "open again"))
+    }
+
+    /// Removes all files but these: what an earlier build had no time to remove.
+    pub fn keep(&self, names: &[&str]) {
+        let files = fs::read_dir(&self.path).into_iter().flatten().flatten();
+        let others = files.filter(|file| !names.iter().any(|name| *name == file.file_name()));
+        others.for_each(|file| drop(fs::remove_file(file.path())));
     }
 
     /// Removes a file; that is no error if there is none.

@@ -55,7 +55,7 @@ impl OctWriter {
     /// Begins a file that will be named `path`; the temporary file lies in the same folder.
     pub fn create(path: &Path) -> Result<OctWriter> {
         let mut writer = OctWriter::open(path)?;
-        writer.restart()?;
+        writer.restart(0)?;
         Ok(writer)
     }
 
@@ -84,18 +84,21 @@ impl OctWriter {
         self.part.file.metadata().map_or(0, |data| data.len())
     }
 
-    /// Begins from the start, whatever an earlier writer left.
-    pub fn restart(&mut self) -> Result<()> {
+    /// Begins from the start, whatever an earlier writer left. `mark` tells the file from others that are left under its name:
+    /// it lies where the header will, which is written last.
+    pub fn restart(&mut self, mark: u64) -> Result<()> {
         self.go_to(0)?;
         self.records.clear();
-        self.write(&[0; HEADER_BYTES])
+        self.write(&[0; 8])?;
+        self.write(&mark.to_le_bytes())?;
+        self.write(&[0; HEADER_BYTES - 16])
     }
 
     /// Goes on after the pages of `records`, which an earlier writer has written and [`OctWriter::flush`]ed. False, and
-    /// nothing is changed, if its file is not there or too short.
-    pub fn resume(&mut self, records: Vec<PageRecord>) -> Result<bool> {
+    /// nothing is changed, if its file is not there, has another `mark`, or is too short.
+    pub fn resume(&mut self, records: Vec<PageRecord>, mark: u64) -> Result<bool> {
         let end = records.last().map_or(HEADER_BYTES as u64, |last| last.offset + u64::from(last.stored_bytes));
-        if !self.is_first() || self.left() < end {
+        if !self.is_first() || self.left() < end || self.read_back(0, 16)? != [[0; 8], mark.to_le_bytes()].concat() {
             return Ok(false);
         }
         self.go_to(end)?;
@@ -354,7 +357,8 @@ mod tests {
             finish(writer, &mut [brick(); 3]).unwrap();
             fs::read(&path).unwrap()
         };
-        let mut writer = OctWriter::create(&path).unwrap();
+        let mut writer = OctWriter::open(&path).unwrap();
+        writer.restart(77).unwrap();
         for number in 0..2 {
             writer.append(&page(number)).unwrap();
         }
@@ -366,8 +370,9 @@ mod tests {
         drop(writer);
         fs::write(&part, [&left[..], b"and half of a page"].concat()).unwrap();
         let mut writer = OctWriter::open(&path).unwrap();
-        assert!(!writer.resume(vec![PageRecord { offset: 1 << 20, ..records[0] }]).unwrap());
-        assert!(writer.resume(records).unwrap());
+        assert!(!writer.resume(vec![PageRecord { offset: 1 << 20, ..records[0] }], 77).unwrap());
+        assert!(!writer.resume(records.clone(), 78).unwrap(), "what another writer left");
+        assert!(writer.resume(records, 77).unwrap());
         writer.append(&page(2)).unwrap();
         finish(writer, &mut [brick(); 3]).unwrap();
         assert!(fs::read(&path).unwrap() == whole);

@@ -91,6 +91,16 @@ impl Input {
         self.size
     }
 
+    /// The first bytes, unpacked, and whether they were packed; `None` if they cannot be had before the rest.
+    pub fn head(&self, bytes: usize) -> Option<(Vec<u8>, bool)> {
+        self.size?;
+        let mut again = Input::file(&self.path, self.promised).ok()?;
+        let mut stream = again.start(1 << 31).ok()?;
+        let mut head = Vec::new();
+        stream.fill(&mut head, bytes).ok()?;
+        Some((head, stream.is_packed()))
+    }
+
     /// The folder that relative names in the input are relative to.
     pub fn folder(&self) -> PathBuf {
         self.path.parent().map(Path::to_owned).unwrap_or_default()
@@ -117,8 +127,8 @@ impl Input {
         self.path == Path::new("-")
     }
 
-    /// Starts reading from the beginning.
-    pub fn start(&mut self) -> Result<Stream> {
+    /// Starts reading from the beginning. A decoder may hold `window` bytes of the text behind it.
+    pub fn start(&mut self, window: u64) -> Result<Stream> {
         let raw: Box<dyn Read + Send> = match self.file.take() {
             Some(file) => Box::new(file),
             None if self.is_stdin() => Box::new(io::stdin()),
@@ -126,13 +136,14 @@ impl Input {
         };
         let taken = Arc::new(AtomicU64::new(0));
         let counted = Counted { raw, taken: taken.clone() };
-        let (text, codec) = self.decoder(counted).map_err(|error| read_error(self.error_path(), None, error))??;
+        let (text, codec) =
+            self.decoder(counted, window).map_err(|error| read_error(self.error_path(), None, error))??;
         Ok(Stream { text, codec, taken, file: self.error_path() })
     }
 
     /// Puts the decoder that the first bytes ask for before `raw`.
     #[allow(clippy::type_complexity)]
-    fn decoder(&self, mut raw: Counted) -> io::Result<Result<(Box<dyn Read + Send>, Option<Codec>)>> {
+    fn decoder(&self, mut raw: Counted, window: u64) -> io::Result<Result<(Box<dyn Read + Send>, Option<Codec>)>> {
         let mut head = Vec::new();
         raw.by_ref().take(4).read_to_end(&mut head)?;
         let found = Codec::detect(&head);
@@ -147,7 +158,10 @@ impl Input {
                 Box::new(flate2::bufread::MultiGzDecoder::new(BufReader::with_capacity(BUFFER, whole)))
             }
             Some(Codec::Zstd) => {
-                Box::new(zstd::stream::read::Decoder::with_buffer(BufReader::with_capacity(BUFFER, whole))?)
+                let mut decoder = zstd::stream::read::Decoder::with_buffer(BufReader::with_capacity(BUFFER, whole))?;
+                // What the library takes: 1 KiB to 2 GiB.
+                decoder.window_log_max(window.clamp(1 << 10, 1 << 31).ilog2())?;
+                Box::new(decoder)
             }
         };
         Ok(Ok((text, found)))
@@ -195,12 +209,19 @@ impl Stream {
     }
 }
 
+/// What zstd says of a window beyond the largest it may take.
+const TOO_LARGE: &str = "Frame requires too much memory for decoding";
+
 /// Says what a failed read means: the operating system's errors carry a number, a decoder's do not.
 fn read_error(file: PathBuf, codec: Option<Codec>, error: io::Error) -> Error {
     match codec {
         Some(codec) if error.raw_os_error().is_none() => {
             let what = if error.kind() == io::ErrorKind::UnexpectedEof {
                 format!("the {} data ends early; the file was cut short, fetch it again", codec.name())
+            } else if error.to_string() == TOO_LARGE {
+                "the zstd data was packed with a window (--long, --ultra) that does not fit in the memory allowed; allow more \
+                 (about five times the window), or unpack it first: `zstd -d --memory=2048MB`"
+                    .into()
             } else {
                 format!("the {} data cannot be decompressed ({error}); fetch it again", codec.name())
             };

@@ -29,6 +29,8 @@ pub struct ReadOptions {
     pub block: usize,
     /// Most bytes of a line, continued ones included; a longer one is an error.
     pub longest_line: usize,
+    /// Most bytes that a decoder may hold of the text behind it; input packed with a larger window is an error.
+    pub window: u64,
     /// Most bytes that the materials of an OBJ file may take, names and all; more are an error. Each takes some 200.
     pub material_memory: u64,
 }
@@ -40,6 +42,7 @@ impl Default for ReadOptions {
             origin: [0.0; 3],
             block: 8 << 20,
             longest_line: 1 << 30,
+            window: 1 << 31,
             material_memory: u64::MAX,
         }
     }
@@ -50,11 +53,17 @@ impl ReadOptions {
     /// 64 KiB a block, up to 8 MiB).
     ///
     /// For t threads there are at most t + 4 blocks of text at a time, and the results of t + 1 of them, which may be
-    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up. A line may take half of the memory.
+    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up. A line may take half of the memory. The
+    /// window of a packed input may take all of it, most of which blocks do not: they are smaller then.
     pub fn within(self, memory: u64, threads: usize) -> Self {
         let blocks = 4 * threads as u64 + 8;
         let block = (memory / blocks).clamp(64 << 10, 8 << 20) as usize;
-        ReadOptions { block, longest_line: (memory / 2).max(1 << 20) as usize, ..self }
+        ReadOptions { block, longest_line: (memory / 2).max(1 << 20) as usize, window: memory, ..self }
+    }
+
+    /// The size of blocks of an input that is `packed` or not.
+    fn block_of(&self, packed: bool) -> usize {
+        if packed { (self.block / 2).max(self.block.min(64 << 10)) } else { self.block }
     }
 }
 
@@ -87,10 +96,15 @@ enum Form {
 /// What a mesh file is: its place, size and time of change, and how it is read, as text. `None` if it cannot be read twice.
 pub fn identity(path: &Path, options: &ReadOptions) -> Option<String> {
     let place = path.canonicalize().ok()?;
-    let data = std::fs::metadata(&place).ok()?;
-    let changed = data.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
     let how = if options.lenient { "lenient" } else { "strict" };
-    data.is_file().then(|| format!("{} {} {} {how}", place.display(), data.len(), changed.as_nanos()))
+    Some(format!("{} {} {how}", place.display(), stamp(&place)?))
+}
+
+/// Size and time of change of a file, as text; `None` if it is not there, or no file.
+pub(crate) fn stamp(path: &Path) -> Option<String> {
+    let data = std::fs::metadata(path).ok()?;
+    let changed = data.modified().ok()?.duration_since(std::time::UNIX_EPOCH).ok()?;
+    data.is_file().then(|| format!("{} {}", data.len(), changed.as_nanos()))
 }
 
 /// Which format and compression the file's name promises.
@@ -123,6 +137,11 @@ pub trait TriangleSource {
 
     /// Bytes of the input, if known before it is read.
     fn size_hint(&self) -> Option<u64>;
+
+    /// How many triangles it is likely to hold, judged by its size, if that is known: of a text, one for 40 bytes.
+    fn triangles_hint(&self) -> Option<u64> {
+        self.size_hint().map(|bytes| bytes / 40)
+    }
 }
 
 /// Where a mesh goes while it is read. Calls come in file order.
@@ -174,6 +193,8 @@ pub struct SourceInfo {
     pub too_few_corners: u64,
     /// Triangles of faces that were skipped for a bad index or number (lenient only); they stand as gaps in the batches.
     pub bad_index: u64,
+    /// Files that it read beside its own, or found missing, as absolute paths: material libraries.
+    pub files: Vec<std::path::PathBuf>,
 }
 
 /// A material of the mesh's MTL, `None` where the MTL does not say.

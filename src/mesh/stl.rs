@@ -37,9 +37,10 @@ impl StlSource {
 
 impl TriangleSource for StlSource {
     fn read(&mut self, sink: &mut dyn MeshSink, monitor: Monitor<'_>) -> Result<SourceInfo> {
-        let stream = self.input.start()?;
+        let stream = self.input.start(self.options.window)?;
         let (taken, size, packed) = (stream.taken(), self.input.size(), stream.is_packed());
-        let mut bytes = Bytes::new(stream, self.options.block, monitor);
+        let block = self.options.block_of(packed);
+        let mut bytes = Bytes::new(stream, block, monitor);
         while bytes.rest().len() < 512 && bytes.more()? {}
         let plain_size = size.filter(|_| !packed);
         let mut reader = Reader {
@@ -63,6 +64,14 @@ impl TriangleSource for StlSource {
 
     fn size_hint(&self) -> Option<u64> {
         self.input.size()
+    }
+
+    fn triangles_hint(&self) -> Option<u64> {
+        // Packed, half is left, and of a text, which takes some 250 bytes a triangle, a sixth.
+        let (head, packed) = self.input.head(512)?;
+        let text = is_text(&head, self.input.size().filter(|_| !packed));
+        let (bytes, ratio) = if text { (250, 6) } else { (TRIANGLE as u64, 2) };
+        Some(self.input.size()? * if packed { ratio } else { 1 } / bytes)
     }
 }
 

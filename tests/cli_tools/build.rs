@@ -314,6 +314,14 @@ fn an_input_cut_short_is_told() {
     assert!(lab.fails(2, "octbuild", &["a.obj.zst", "-o", "a.oct"]).contains("cut short"));
     assert!(lab.fails(2, "octbuild", &["c.obj", "-o", "a.oct"]).contains("takes 3 numbers"));
     assert_eq!(lab.files(), ["a.obj.zst", "b.obj", "c.obj"]);
+    // Where the cut leaves what may be a face, or one too short, that can only be told.
+    let whole = ball(300, 200);
+    lab.write("d.obj", &whole[..whole.len() - 2]);
+    lab.write("e.obj", whole);
+    for (mesh, cut) in [("b.obj", true), ("d.obj", true), ("e.obj", false)] {
+        let output = lab.run("octbuild", &[mesh, "-o", "a.oct"]);
+        assert_eq!((output.status.code(), told(&output).contains("cut short")), (Some(0), cut), "{}", told(&output));
+    }
 }
 
 #[cfg(unix)]
@@ -341,6 +349,17 @@ fn interrupted_once_it_cleans_up() {
     signal(&child, "INT");
     assert_eq!(wait(&mut child), Some(130));
     assert_eq!(lab.files(), Vec::<String>::new());
+}
+
+#[cfg(unix)]
+#[test]
+fn nobody_has_to_read_what_it_says() {
+    let lab = Lab::new();
+    lab.write("a.obj", ball(8, 8));
+    let mut child = lab.command("octbuild", &["a.obj", "-o", "a.oct"]).stderr(Stdio::piped()).spawn().unwrap();
+    drop(child.stderr.take());
+    assert_eq!(wait(&mut child), Some(0));
+    assert_eq!(lab.files(), ["a.obj", "a.oct"]);
 }
 
 #[cfg(unix)]

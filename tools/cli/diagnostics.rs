@@ -2,6 +2,8 @@
 //!
 //! Colours appear only on a terminal that wants them (`NO_COLOR` is respected), which anstream decides.
 
+use std::io::Write;
+
 use annotate_snippets::{AnnotationKind, Group, Level, Origin, Renderer, Snippet};
 use octrace::{Diagnostic, Error, Severity};
 
@@ -10,10 +12,15 @@ pub fn print_error(error: &Error) {
     match error {
         Error::Text(diagnostics) => {
             let texts: Vec<String> = diagnostics.iter().map(render).collect();
-            anstream::eprintln!("{}", texts.join("\n\n"));
+            say(&texts.join("\n\n"));
         }
-        other => anstream::eprintln!("{}", render_message(Severity::Error, &other.to_string())),
+        other => say(&render_message(Severity::Error, &other.to_string())),
     }
+}
+
+/// Prints a line on standard error. That nobody reads it any more is no reason to stop.
+pub fn say(line: &str) {
+    let _ = writeln!(anstream::stderr(), "{line}");
 }
 
 /// A remark without a place in a text file, ready to be printed.

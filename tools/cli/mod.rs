@@ -58,7 +58,7 @@ impl<'a> Session<'a> {
     pub fn say(&self, line: impl std::fmt::Display) {
         self.finish();
         if !self.quiet() {
-            anstream::eprintln!("{line}");
+            diagnostics::say(&line.to_string());
         }
     }
 }

@@ -29,7 +29,8 @@ pub struct Reporter {
 /// How far the whole work is, where its phases say which parts of it they are.
 #[derive(Default)]
 struct Whole {
-    /// When the first such phase began, and where in the whole.
+    /// When something was told of such a phase first, and where in the whole: what was done before, by a build that was killed, says
+    /// nothing of how long the rest takes.
     begun: Option<(Instant, f64)>,
     /// The part that the current phase is.
     part: Option<[f64; 2]>,
@@ -78,7 +79,7 @@ impl Reporter {
         let hidden = self.warnings.swap(0, Ordering::Relaxed).saturating_sub(WARNINGS_SHOWN);
         if hidden > 0 {
             let text = format!("{hidden} more warnings are not shown");
-            anstream::eprintln!("{}", diagnostics::render_message(Severity::Warning, &text));
+            diagnostics::say(&diagnostics::render_message(Severity::Warning, &text));
         }
     }
 
@@ -95,7 +96,7 @@ impl Reporter {
     }
 
     fn phase(&self, name: &'static str, part: Option<[f64; 2]>) {
-        self.whole.lock().unwrap_or_else(|e| e.into_inner()).phase(part, Instant::now());
+        self.whole.lock().unwrap_or_else(|e| e.into_inner()).part = part;
         match &self.display {
             Display::None => {}
             Display::Bar(bar) => {
@@ -109,17 +110,18 @@ impl Reporter {
                 let now = Instant::now();
                 (lines.phase, lines.phase_start) = (name, now);
                 if lines.due(now, LINE_EVERY) {
-                    eprintln!("{}: {name}", self.name);
+                    diagnostics::say(&format!("{}: {name}", self.name));
                 }
             }
         }
     }
 
     fn progress(&self, done: u64, total: Option<u64>, unit: &'static str) {
-        let whole = || {
-            let share = total.filter(|&total| total > 0).map(|total| done as f64 / total as f64)?;
-            self.whole.lock().unwrap_or_else(|e| e.into_inner()).told(share, Instant::now())
-        };
+        let share = total.filter(|&total| total > 0).map(|total| done as f64 / total as f64);
+        let whole = share
+            .and_then(|share| self.whole.lock().unwrap_or_else(|e| e.into_inner()).told(share, Instant::now()))
+            .map(|told| format!("; {told}"))
+            .unwrap_or_default();
         match &self.display {
             Display::None => {}
             Display::Bar(bar) => {
@@ -127,7 +129,6 @@ impl Reporter {
                     total.map_or_else(|| bar.unset_length(), |t| bar.set_length(t));
                     bar.set_style(style(total));
                 }
-                let whole = whole().map(|told| format!("; {told}")).unwrap_or_default();
                 let left = total.map(|_| format!(", {} s left", bar.eta().as_secs())).unwrap_or_default();
                 bar.set_prefix(format!("{unit}, {}{left}{whole}", rate(bar.per_sec(), unit)));
                 bar.set_position(done);
@@ -138,8 +139,7 @@ impl Reporter {
                 let now = Instant::now();
                 if lines.due(now, LINE_EVERY) {
                     let line = plain_line(lines.phase, done, total, unit, now - lines.phase_start);
-                    let whole = whole().map(|told| format!("; {told}")).unwrap_or_default();
-                    eprintln!("{}: {line}{whole}", self.name);
+                    diagnostics::say(&format!("{}: {line}{whole}", self.name));
                 }
             }
         }
@@ -148,8 +148,8 @@ impl Reporter {
     fn note(&self, text: &str) {
         match &self.display {
             Display::None => {}
-            Display::Bar(bar) => bar.suspend(|| eprintln!("{}: {text}", self.name)),
-            Display::Lines(_) => eprintln!("{}: {text}", self.name),
+            Display::Bar(bar) => bar.suspend(|| diagnostics::say(&format!("{}: {text}", self.name))),
+            Display::Lines(_) => diagnostics::say(&format!("{}: {text}", self.name)),
         }
     }
 
@@ -158,24 +158,18 @@ impl Reporter {
             return;
         }
         match &self.display {
-            Display::Bar(bar) => bar.suspend(|| anstream::eprintln!("{}", text())),
-            _ => anstream::eprintln!("{}", text()),
+            Display::Bar(bar) => bar.suspend(|| diagnostics::say(&text())),
+            _ => diagnostics::say(&text()),
         }
     }
 }
 
 impl Whole {
-    fn phase(&mut self, part: Option<[f64; 2]>, now: Instant) {
-        self.part = part;
-        if let (None, Some([from, _])) = (self.begun, part) {
-            self.begun = Some((now, from));
-        }
-    }
-
     /// `68 % of all, 200 s left`, when `share` of the current phase is done.
-    fn told(&self, share: f64, now: Instant) -> Option<String> {
-        let ([from, to], (start, first)) = (self.part?, self.begun?);
+    fn told(&mut self, share: f64, now: Instant) -> Option<String> {
+        let [from, to] = self.part?;
         let at = from + (to - from) * share.min(1.0);
+        let (start, first) = *self.begun.get_or_insert((now, at));
         let left = (now - start).as_secs_f64() * (1.0 - at) / (at - first);
         (at > first).then(|| format!("{:.0} % of all, {left:.0} s left", at * 100.0))
     }
@@ -256,15 +250,14 @@ mod tests {
         let start = Instant::now();
         let after = |seconds| start + Duration::from_secs(seconds);
         let mut whole = Whole::default();
-        whole.phase(None, start);
         assert_eq!(whole.told(0.5, after(1)), None);
-        // Taken up where a fifth was done: then all has to be judged by what was done since.
-        whole.phase(Some([0.2, 0.4]), start);
-        assert_eq!(whole.told(0.0, start), None);
-        assert_eq!(whole.told(0.5, after(10)).as_deref(), Some("30 % of all, 70 s left"));
-        whole.phase(Some([0.4, 1.0]), after(20));
-        assert_eq!(whole.told(0.5, after(50)).as_deref(), Some("70 % of all, 30 s left"));
-        whole.phase(None, after(60));
+        // Taken up where a quarter was done: then all has to be judged by what was done since.
+        whole.part = Some([0.2, 0.4]);
+        assert_eq!(whole.told(0.25, start), None);
+        assert_eq!(whole.told(0.5, after(10)).as_deref(), Some("30 % of all, 140 s left"));
+        whole.part = Some([0.4, 1.0]);
+        assert_eq!(whole.told(0.5, after(45)).as_deref(), Some("70 % of all, 30 s left"));
+        whole.part = None;
         assert_eq!(whole.told(0.5, after(70)), None);
     }
 

@@ -48,6 +48,11 @@ fn copy_all(from: &Path, to: &Path) {
 
 /// Builds until so many events were seen, and leaves the folder as it was then, as a kill would; whether it came to that.
 fn killed_after(events: usize, mesh: &Memory, folder: &Path, options: &BuildOptions) -> bool {
+    killed_with(&TINY, events, mesh, folder, options)
+}
+
+/// The same of a build with other sizes.
+fn killed_with(tuning: &Tuning, events: usize, mesh: &Memory, folder: &Path, options: &BuildOptions) -> bool {
     let left = tempfile::tempdir().unwrap();
     let (stop, seen) = (AtomicBool::new(false), AtomicUsize::new(0));
     let sink = |_: Event| {
@@ -57,7 +62,7 @@ fn killed_after(events: usize, mesh: &Memory, folder: &Path, options: &BuildOpti
         }
     };
     let monitor = Monitor::new(&sink, &stop);
-    let result = build_tuned(&mut mesh.clone(), &folder.join("a.oct"), options, &TINY, monitor);
+    let result = build_tuned(&mut mesh.clone(), &folder.join("a.oct"), options, tuning, monitor);
     copy_all(left.path(), folder);
     result.is_err()
 }
@@ -119,4 +124,88 @@ fn what_another_build_left_is_not_taken_up() {
         assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == expected);
     }
     assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == bytes);
+}
+
+/// How many events a build sends.
+fn events(tuning: &Tuning, mesh: &Memory, options: &BuildOptions) -> usize {
+    let folder = tempfile::tempdir().unwrap();
+    let (stop, seen) = (AtomicBool::new(false), AtomicUsize::new(0));
+    let count = |_: Event| {
+        seen.fetch_add(1, Ordering::Relaxed);
+    };
+    let output = folder.path().join("a.oct");
+    build_tuned(&mut mesh.clone(), &output, options, tuning, Monitor::new(&count, &stop)).unwrap();
+    seen.into_inner()
+}
+
+#[test]
+fn a_build_that_had_more_memory_is_taken_up_within_less() {
+    let mesh = sheet(15);
+    for split in [SplitMode::Sah, SplitMode::Strict] {
+        let options = BuildOptions { source: Some("sheet".into()), ..options(split, 20) };
+        let (_, _, bytes) = round_trip(&mesh, &options, &TINY);
+        let large = Tuning { chunk_bytes: 4 * TINY.chunk_bytes, ..TINY };
+        let mut sorted_again = 0;
+        for events in 1..events(&large, &mesh, &options) {
+            let folder = tempfile::tempdir().unwrap();
+            assert!(killed_with(&large, events, &mesh, folder.path(), &options));
+            let writes_pages =
+                std::fs::read_dir(folder.path()).unwrap().any(|e| e.unwrap().path().join("pages").exists());
+            let again = BuildOptions { resume: true, ..options.clone() };
+            let report = build_in(folder.path(), &mesh, &again, &TINY).unwrap();
+            assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == bytes, "{split:?}, after {events} events");
+            let has = |name: &str| report.phases.iter().any(|phase| phase.name == name);
+            assert!(!writes_pages || !has("join"));
+            sorted_again += usize::from(writes_pages && has("distribute"));
+        }
+        assert!(sorted_again > 0, "{split:?}: chunks that are too large were not sorted again");
+    }
+}
+
+#[test]
+fn a_scan_is_taken_up_though_a_little_less_memory_is_left() {
+    let mesh = sheet(15);
+    let options = BuildOptions { source: Some("sheet".into()), ..options(SplitMode::Sah, 40) };
+    let mut taken_up = [0; 2];
+    for events in 1..events(&TINY, &mesh, &options) {
+        for (taken_up, block_corners) in taken_up.iter_mut().zip([46, 30]) {
+            let folder = tempfile::tempdir().unwrap();
+            assert!(killed_after(events, &mesh, folder.path(), &options));
+            let again = BuildOptions { resume: true, ..options.clone() };
+            let report = build_in(folder.path(), &mesh, &again, &Tuning { block_corners, ..TINY }).unwrap();
+            let has = |name: &str| report.phases.iter().any(|phase| phase.name == name);
+            *taken_up += usize::from(!has("scan") && has("join"));
+        }
+    }
+    assert!(taken_up[0] > 0 && taken_up[1] == 0, "{taken_up:?}");
+}
+
+#[test]
+fn pages_of_another_build_under_the_same_name_are_not_taken_for_its_own() {
+    let (mesh, folder) = (sheet(15), tempfile::tempdir().unwrap());
+    let temps = ["one", "two"].map(|name| folder.path().join(name));
+    temps.iter().for_each(|temp| std::fs::create_dir(temp).unwrap());
+    let [one, two] = temps.map(|temp| BuildOptions {
+        source: Some("sheet".into()),
+        temp: Some(temp),
+        ..options(SplitMode::Sah, 40)
+    });
+    let (_, _, bytes) = round_trip(&mesh, &one, &TINY);
+    // The first is killed while it writes pages; so is the second, which makes others, of the same file in another folder.
+    let two = BuildOptions { lod: false, leaf: 3, ..two };
+    assert!(killed_after(events(&TINY, &mesh, &one) - 3, &mesh, folder.path(), &one));
+    assert!(killed_after(events(&TINY, &mesh, &two) - 3, &mesh, folder.path(), &two));
+    build_in(folder.path(), &mesh, &BuildOptions { resume: true, ..one }, &TINY).unwrap();
+    assert!(std::fs::read(folder.path().join("a.oct")).unwrap() == bytes);
+}
+
+#[test]
+fn few_extents_make_few_chunks_and_the_same_bytes() {
+    let mesh = sheet(30);
+    for split in [SplitMode::Sah, SplitMode::Strict] {
+        let options = options(split, 20);
+        let (_, _, bytes) = round_trip(&mesh, &options, &TINY);
+        let few = Tuning { extents: 40, ..TINY };
+        assert!(round_trip(&mesh, &options, &few).2 == bytes, "{split:?}");
+    }
 }

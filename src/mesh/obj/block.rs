@@ -3,6 +3,9 @@
 //! A block ends after a newline that no backslash precedes, so that it can be parsed by itself. A line that is longer
 //! than a block makes the block longer; what has been searched is not searched again.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use memchr::{memchr, memrchr_iter};
 
 use crate::error::{Error, Result};
@@ -22,6 +25,8 @@ pub(super) struct Blocks {
     head: Vec<u8>,
     begun: bool,
     ended: bool,
+    /// Whether the input ended without a newline.
+    cut: Arc<AtomicBool>,
 }
 
 impl Blocks {
@@ -35,7 +40,13 @@ impl Blocks {
             head: Vec::new(),
             begun: false,
             ended: false,
+            cut: Arc::default(),
         }
+    }
+
+    /// Whether the last line had no newline, as that of a file has that was cut short; known at the end. Other threads may look at it.
+    pub fn cut(&self) -> Arc<AtomicBool> {
+        self.cut.clone()
     }
 
     /// The next block: whole lines, ending with a newline. `None` at the end.
@@ -62,6 +73,7 @@ impl Blocks {
             searched = text.len();
         }
         if text.last().is_some_and(|&byte| byte != b'\n') {
+            self.cut.store(true, Ordering::Relaxed);
             text.push(b'\n');
         }
         Ok((!text.is_empty()).then_some(text))

@@ -134,7 +134,9 @@ fn look_again(
     raised: &Raised,
     counts: [u64; KINDS],
 ) -> Result<Option<Diagnostic>> {
-    let mut blocks = Blocks::new(input.start()?, options.block, options.longest_line);
+    let stream = input.start(options.window)?;
+    let block = options.block_of(stream.is_packed());
+    let mut blocks = Blocks::new(stream, block, options.longest_line);
     for _ in 0..raised.block {
         blocks.next_block()?;
     }

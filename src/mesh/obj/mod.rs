@@ -31,6 +31,9 @@ use crate::event::Monitor;
 use block::Blocks;
 use sequel::Sequel;
 
+/// An input of so many bytes was written by a program.
+const WRITTEN: u64 = 1 << 20;
+
 /// An OBJ file, or standard input, that is to be read.
 pub(super) struct ObjSource {
     input: Input,
@@ -46,30 +49,40 @@ impl ObjSource {
 
 impl TriangleSource for ObjSource {
     fn read(&mut self, sink: &mut dyn MeshSink, monitor: Monitor<'_>) -> Result<SourceInfo> {
-        let stream = self.input.start()?;
+        let stream = self.input.start(self.options.window)?;
         let (taken, size) = (stream.taken(), self.input.size());
+        let block = self.options.block_of(stream.is_packed());
         let mut sequel = Sequel::new(&self.input, self.options);
-        pipeline::run(
-            Blocks::new(stream, self.options.block, self.options.longest_line),
-            self.options.origin,
-            monitor,
-            &mut |text, parsed| {
-                sequel.take(text, parsed, sink, monitor)?;
-                monitor.progress(taken.load(Ordering::Relaxed), size, "bytes");
-                Ok(())
-            },
-        )?;
+        let blocks = Blocks::new(stream, block, self.options.longest_line);
+        let cut = blocks.cut();
+        pipeline::run(blocks, self.options.origin, monitor, &mut |text, parsed| {
+            sequel.take(text, parsed, sink, monitor)?;
+            monitor.progress(taken.load(Ordering::Relaxed), size, "bytes");
+            Ok(())
+        })?;
         let end = sequel.finish(monitor);
         self.input.check_unchanged()?;
+        // What is written by hand often ends so; what a program wrote does not.
+        if cut.load(Ordering::Relaxed) && (end.too_few > 0 || taken.load(Ordering::Relaxed) >= WRITTEN) {
+            let name = self.input.name();
+            monitor.warn(format!("{name}: its last line has no end; if the file was cut short, fetch it again"));
+        }
         end.forward.check(&mut self.input, &self.options, end.counts)?;
         let count = end.materials.len();
-        let memory = self.options.material_memory;
-        let materials = mtl::resolve(&self.input.folder(), &end.libraries, end.materials, memory, monitor)
+        let (folder, memory) = (self.input.folder(), self.options.material_memory);
+        let materials = mtl::resolve(&folder, &end.libraries, end.materials, memory, monitor)
             .ok_or_else(|| sequel::too_many_materials(self.input.error_path(), count))?;
-        Ok(SourceInfo { materials, too_few_corners: end.too_few, bad_index: end.bad })
+        let files = mtl::library_files(&folder, &end.libraries);
+        Ok(SourceInfo { materials, too_few_corners: end.too_few, bad_index: end.bad, files })
     }
 
     fn size_hint(&self) -> Option<u64> {
         self.input.size()
+    }
+
+    fn triangles_hint(&self) -> Option<u64> {
+        // Texts pack to a quarter, about.
+        let (_, packed) = self.input.head(4)?;
+        Some(self.input.size()? * if packed { 4 } else { 1 } / 40)
     }
 }

@@ -169,7 +169,9 @@ impl<'a> Body<'a> {
     }
 
     fn others(&mut self, element: &Element) -> Result<()> {
-        for item in 0..element.count {
+        // Items without properties take no bytes, however many there are said to be.
+        let items = if element.properties.is_empty() { 0 } else { element.count };
+        for item in 0..items {
             element.properties.iter().try_for_each(|property| self.pass(property, element, item).map(drop))?;
         }
         Ok(())

@@ -217,3 +217,11 @@ fn compressed_ply_is_unpacked() {
     let packed = zstd::encode_all(&binary(false)[..], 3).unwrap();
     assert_eq!(read_with("a.ply.zst", &packed, ReadOptions::default()).unwrap(), read(&binary(false)));
 }
+
+#[test]
+fn items_without_properties_take_no_time() {
+    let text = "ply\nformat ascii 1.0\nelement junk 1000000000000000000\nelement vertex 3\nproperty float x\n\
+                property float y\nproperty float z\nelement face 1\nproperty list uchar int vertex_indices\nend_header\n\
+                0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n";
+    assert_eq!(read(text.as_bytes()).faces[0].corners, [0, 1, 2]);
+}
