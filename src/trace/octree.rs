@@ -245,7 +245,8 @@ impl Walker<'_> {
         for<'c> A::Collector<'c>: Collector<'c>,
     {
         let (octree, scene, isa) = (self.octree(), self.scene, self.isa);
-        Patient { octree, scene, isa, ask, rays, fast }.answer(answers, counters)
+        Patient { octree, scene, isa, ask, rays, fast }.answer(answers, counters)?;
+        octree.fault()
     }
 
     /// Rays that one task of a batch takes. Where rays may wait, each thread has many, so that others can go on.

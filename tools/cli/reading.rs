@@ -2,6 +2,7 @@
 
 use octrace::Error;
 use octrace::format::{Flags, Header};
+use octrace::map::Octree;
 
 /// Flags for reading octree files.
 #[derive(Clone, Debug, clap::Args)]
@@ -49,10 +50,10 @@ impl Reading {
     }
 }
 
-/// What of the bound is left beside what this process has taken so far, and what the page tables of the files will take.
+/// What of the bound is left beside what this process has taken so far, and what the files will take beside their pages.
 pub fn left_of(memory: u64, headers: &[Header]) -> Result<u64, u64> {
-    let tables: u64 = headers.iter().map(|header| 16 * u64::from(header.pages)).sum();
-    let taken = resident_bytes().unwrap_or(32 << 20) + REST + tables;
+    let beside: u64 = headers.iter().map(Octree::beside_cache).sum();
+    let taken = resident_bytes().unwrap_or(32 << 20) + REST + beside;
     memory.checked_sub(taken).ok_or(taken)
 }
 

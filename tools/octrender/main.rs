@@ -213,8 +213,8 @@ fn plan(
         Ok(left) => plan_for(left)?.map_err(|least| memory - left + least),
     };
     let plan = plan.map_err(|least| reading::too_small(least + beside))?;
-    // By what each would take as a whole.
-    let whole = |mesh: &Octree| mesh.records().iter().map(|record| u64::from(record.bytes)).sum::<u64>().max(1);
+    // By what each would take as a whole, or nearly so.
+    let whole = |mesh: &Octree| mesh.header().file_bytes;
     let wholes: u64 = meshes.iter().map(|mesh| whole(mesh)).sum();
     for (mesh, own) in meshes.iter().zip(&leasts) {
         let share = (plan.pages - least) as f64 * (whole(mesh) as f64 / wholes as f64);
