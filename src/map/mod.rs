@@ -14,6 +14,7 @@ mod cache;
 mod detail;
 mod failure;
 mod mapped;
+mod memory;
 mod mmap;
 mod page;
 #[cfg(test)]
@@ -41,6 +42,7 @@ use top::{cut, section_ranges};
 
 pub(crate) use cache::Ticket;
 pub use detail::Detail;
+pub use memory::{free_memory, half_of_free_memory};
 pub use page::Page;
 pub use survey::Parts;
 pub use visit::{Halt, Visit};
@@ -105,7 +107,8 @@ enum Pages {
 impl Octree {
     /// Opens a file: mapped, or a packed one with a cache of half of the memory that is free.
     ///
-    /// Errors: a missing file, another kind of file or a newer version (input), a damaged one, or the system's.
+    /// Errors: a missing file, another kind of file or a newer version (input), a damaged header, or the system's. Damage elsewhere is told when
+    /// it is met.
     pub fn open(path: &Path) -> Result<Octree> {
         Octree::open_as(path, None)
     }
@@ -133,7 +136,7 @@ impl Octree {
     fn open_as(path: &Path, read: Option<Read>) -> Result<Octree> {
         let (file, header) = head(path)?;
         let read = read.unwrap_or_else(|| match header.flags.has(Flags::PACKED) {
-            true => Read::Budgeted { cache: least_cache(&header).max(free_memory() / 2) },
+            true => Read::Budgeted { cache: least_cache(&header).max(half_of_free_memory()) },
             false => Read::Mapped,
         });
         let refused = |what: String| Err(Error::Input { file: path.to_owned(), what });
@@ -172,6 +175,13 @@ impl Octree {
     pub fn set_cache(&self, bytes: u64) {
         if let Pages::Cached(cache) = &self.pages {
             cache.set_budget(bytes.max(least_cache(&self.header)));
+        }
+    }
+
+    /// Evicts all pages that nobody is using, so that what follows begins with nothing in memory. Nothing for a mapped file.
+    pub fn forget(&self) {
+        if let Pages::Cached(cache) = &self.pages {
+            cache.forget();
         }
     }
 
@@ -331,12 +341,4 @@ fn heads_at(header: &Header) -> Option<u64> {
 /// Bytes of memory that one page takes at most.
 fn least_cache(header: &Header) -> u64 {
     u64::from(header.largest_page).next_multiple_of(mmap::machine_page() as u64)
-}
-
-/// Bytes of memory that are free; some where the system does not tell.
-fn free_memory() -> u64 {
-    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
-    let kib = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
-    kib.map_or(2 << 30, |kib| kib << 10)
 }

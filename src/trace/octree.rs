@@ -171,6 +171,7 @@ impl Walker<'_> {
                 Err(Halt::Failed(error)) => return Err(error),
                 Err(Halt::Absent(page)) => {
                     drop(visit);
+                    counters.waits += 1;
                     // The page before may go now, this one stays until the ray has been through it.
                     drop(ticket.take());
                     let asked = octree.ask(page, 1);

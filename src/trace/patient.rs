@@ -252,6 +252,7 @@ where
             Err(Halt::Failed(error)) => return Err(error),
             Err(Halt::Absent(PageId(page))) => {
                 let fresh = self.packets.clone().map(Waiting::fresh);
+                self.counters.waits += (self.taken.len() + fresh.len()) as u64;
                 self.halted.extend(self.taken.drain(..).chain(fresh).map(|ray| (page, ray)));
                 return Ok(());
             }
@@ -328,6 +329,7 @@ where
                 Ok(()) => {}
                 Err(Halt::Absent(PageId(page))) => {
                     done &= !(1 << k);
+                    counters.waits += 1;
                     let rest = A::rest(collector, ray);
                     halted.push((page, Waiting { place: places[k] as u32, trail: trip.halted(), rest }));
                 }

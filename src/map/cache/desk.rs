@@ -28,6 +28,8 @@ pub(super) struct Desk {
     loads: u64,
     failed: HashMap<u32, Failure>,
     pub(super) figures: Figures,
+    /// Whether a loader looks again and again whether room has come.
+    pub(super) looking: bool,
     pub(super) stop: bool,
 }
 
@@ -79,6 +81,7 @@ impl Desk {
             loads: 0,
             failed: HashMap::new(),
             figures: Figures::default(),
+            looking: false,
             stop: false,
         }
     }
@@ -129,6 +132,11 @@ impl Desk {
         }
         self.wanted.remove(&page);
         true
+    }
+
+    /// Whether pages are asked for that no loader has taken up.
+    pub(super) fn is_asked(&self) -> bool {
+        self.queued > 0
     }
 
     /// Why a page cannot be had.
@@ -219,21 +227,25 @@ impl Desk {
                 break;
             }
         }
-        if self.taken + room <= budget {
-            return true;
-        }
+        self.taken + room <= budget || self.free_down_to(core, budget.saturating_sub(room))
+    }
+
+    /// Frees doomed pages until pages take no more than so many bytes; false while visits hold too much.
+    fn free_down_to(&mut self, core: &Core, bytes: u64) -> bool {
         let sweep = core.arena.sweep();
-        while self.taken + room > budget {
+        while self.taken > bytes {
             let freed = self.limbo.iter().position(|&page| sweep.free(page as usize));
-            match freed.and_then(|place| self.limbo.remove(place)) {
-                Some(page) => {
-                    self.taken -= core.room(page);
-                    self.doomed -= core.room(page);
-                }
-                None => return false,
-            }
+            let Some(page) = freed.and_then(|place| self.limbo.remove(place)) else { return false };
+            self.taken -= core.room(page);
+            self.doomed -= core.room(page);
         }
         true
+    }
+
+    /// Evicts what nobody waits for or is visiting.
+    pub(super) fn forget(&mut self, core: &Core) {
+        while self.doom_one(core) {}
+        self.free_down_to(core, 0);
     }
 
     /// Dooms the next page that was not visited since the hand passed it last; false if all are wanted.

@@ -21,18 +21,24 @@ impl Core {
         while !desk.stop {
             let page = match desk.next(self) {
                 Task::Load(page) => page,
-                Task::Wait => {
+                // Nobody tells of the ends of visits, so one loader looks; the others are told when there is something to do.
+                Task::Wait if !desk.looking => {
+                    desk.looking = true;
                     desk = match self.work.wait_timeout(desk, PAUSE) {
                         Ok((desk, _)) => desk,
                         Err(poison) => poison.into_inner().0,
                     };
+                    desk.looking = false;
                     continue;
                 }
-                Task::Nothing => {
+                Task::Wait | Task::Nothing => {
                     desk = self.work.wait(desk).unwrap_or_else(|poison| poison.into_inner());
                     continue;
                 }
             };
+            if desk.is_asked() {
+                self.work.notify_one();
+            }
             drop(desk);
             // Whoever waits for the page must be told, whatever happens here.
             let outcome = catch_unwind(AssertUnwindSafe(|| self.load(page)));

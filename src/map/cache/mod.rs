@@ -160,6 +160,11 @@ impl Cache {
         self.core.work.notify_all();
     }
 
+    /// Evicts what can be.
+    pub(super) fn forget(&self) {
+        self.core.desk().forget(&self.core);
+    }
+
     /// What was read so far.
     pub(super) fn figures(&self) -> Figures {
         let figures = self.core.desk().figures;
