@@ -313,7 +313,7 @@ where
                 kernel.save(&mut sight.saved, frame, near);
                 sight.left = left;
                 live |= u32::from(left != 0) << count;
-                counters.nodes += 1;
+                counters.nodes += u64::from(waiting.trail.is_empty());
             }
             count += 1;
         }
@@ -325,7 +325,10 @@ where
         for k in (0..count).filter(|k| live >> k & 1 != 0) {
             let (ray, sight, collector) = (&those[k], &space.crew[k], &mut collectors[k]);
             trip.begin(trails[k]);
-            match file.walk(kernel, &mut space.levels, start, ray, sight, depths, collector, counters, trip) {
+            let outcome = file.walk(kernel, &mut space.levels, start, ray, sight, depths, collector, counters, trip);
+            // Work is counted as if the ray had never waited.
+            counters.nodes -= trip.again();
+            match outcome {
                 Ok(()) => {}
                 Err(Halt::Absent(PageId(page))) => {
                     done &= !(1 << k);
