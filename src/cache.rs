@@ -199,7 +199,8 @@ impl Place {
         (key.key_of == KEY_OF && Some(&key.header) == header_checksum(&self.octree).as_ref()).then_some(key)
     }
 
-    /// The octree file, if it was built from this source. A damaged one is as good as none: it is built again.
+    /// The octree file, if it was built from this source. One with a damaged header is as good as none: it is
+    /// built again.
     fn open(&self, source: &Source) -> Option<Octree> {
         let key = self.own_key().filter(|key| key.format == VERSION && key.source == *source)?;
         Octree::open(&self.octree).ok().filter(|octree| octree.header().version == key.format)

@@ -163,6 +163,33 @@ fn a_mesh_tells_faces_and_work() {
     assert!(cost.iter().any(|c| *c != cost[0]));
 }
 
+/// Where pages have to be read: nowhere in a mapped file, and again and again where only one has room. All else is the same.
+#[test]
+fn reads_are_where_pages_were_not_in_memory() {
+    let folder = tempfile::tempdir().unwrap();
+    let mapped = sheet(folder.path());
+    let cache = Octree::least_cache(mapped.path()).unwrap();
+    let read = |cache| Octree::open_with(mapped.path(), octrace::map::Read::Budgeted { cache }).map(Arc::new).unwrap();
+    let (small, large) = (read(cache), read(1000 * cache));
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
+    let [expected, mut one, mut all_of_it] =
+        [&mapped, &small, &large].map(|octree| pool.install(|| all(&with_sheet(octree.clone()), Settings::default())));
+    let sum = |aovs: &[Aov]| scalars(aovs, AovKind::Reads).iter().map(|&n| f64::from(n)).sum::<f64>();
+    assert_eq!(sum(&expected), 0.0);
+    let figures = [&small, &large].map(|octree| octree.figures());
+    assert!(sum(&one) > sum(&all_of_it) && sum(&all_of_it) > 0.0, "{} {}", sum(&one), sum(&all_of_it));
+    assert!(figures[0].reread > 100 && figures[1].reread == 0, "{figures:?}");
+    assert!(sum(&all_of_it) <= figures[1].read as f64 && figures[1].read == figures[1].touched, "{figures:?}");
+    // Nothing is there once it is forgotten.
+    large.forget();
+    let again = pool.install(|| all(&with_sheet(large.clone()), Settings::default()));
+    assert_eq!(scalars(&again, AovKind::Reads), scalars(&all_of_it, AovKind::Reads));
+    for aovs in [&mut one, &mut all_of_it] {
+        aovs.retain(|aov| aov.kind != AovKind::Reads);
+        assert!(expected.iter().filter(|aov| aov.kind != AovKind::Reads).eq(&*aovs));
+    }
+}
+
 #[test]
 fn a_crop_and_threads_change_nothing() {
     let folder = tempfile::tempdir().unwrap();

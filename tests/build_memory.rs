@@ -7,6 +7,9 @@
 #[allow(dead_code, unused_macros, unused_imports)]
 mod support;
 
+#[cfg(target_os = "linux")]
+mod cgroup;
+
 use std::fmt::Write as _;
 
 use support::*;
@@ -268,50 +271,12 @@ fn a_page_too_large_for_the_memory_is_told() {
 
 /// A memory cgroup of version 1, removed when dropped.
 #[cfg(target_os = "linux")]
-struct Group(std::path::PathBuf);
-
-#[cfg(target_os = "linux")]
-impl Group {
-    fn new(limit: u64) -> Option<Group> {
-        let name = format!("octrace-test-{}", std::process::id());
-        // Version 1 has a hierarchy for memory; version 2 has one for all, which must hand memory down.
-        for (root, limit_file) in [("/sys/fs/cgroup/memory", "memory.limit_in_bytes"), ("/sys/fs/cgroup", "memory.max")]
-        {
-            let path = std::path::Path::new(root).join(&name);
-            if std::fs::create_dir(&path).is_ok() {
-                let group = Group(path);
-                if std::fs::write(group.0.join(limit_file), limit.to_string()).is_ok() {
-                    return Some(group);
-                }
-            }
-        }
-        None
-    }
-}
-
-#[cfg(target_os = "linux")]
-impl Drop for Group {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir(&self.0);
-    }
-}
-
-#[cfg(target_os = "linux")]
 #[test]
 fn it_is_not_killed_in_a_group_of_a_quarter_more() {
-    let Some(group) = Group::new(80 << 20) else {
-        println!("cgroup skipped");
-        return;
-    };
+    let Some(group) = cgroup::Group::new(80 << 20) else { return };
     let lab = Lab::new();
     lab.write("a.obj", strip(1_600_000, false, |faces| Random(5).shuffle(faces)));
-    // The shell joins the group, and the builder it becomes stays in it.
-    let script = format!(
-        "echo $$ > {}/cgroup.procs && exec {} a.obj -o a.oct --memory 64M --threads 2 -q",
-        group.0.display(),
-        env!("CARGO_BIN_EXE_octbuild")
-    );
-    let mut command = std::process::Command::new("sh");
-    let output = command.args(["-c", &script]).current_dir(lab.path("")).output().unwrap();
+    let line = format!("{} a.obj -o a.oct --memory 64M --threads 2 -q", env!("CARGO_BIN_EXE_octbuild"));
+    let output = group.run(&line, &lab.path(""));
     assert_eq!(output.status.code(), Some(0), "{}", told(&output));
 }

@@ -35,5 +35,7 @@ pub use page::{Brick, LEAF_PADDING, PAGE_HEADER_BYTES, PageHeader, PageId, PageR
 pub use surrogate::{Moments, Patch, RootBox, Surrogate, cosine_of_sum};
 pub use validate::validate_page;
 pub(crate) use validate_top::string_at;
-pub use validate_top::{Refusal, TopView, read_header, validate_top};
+pub use validate_top::{
+    Entry, Refusal, most_stored, read_header, validate_directory, validate_entry, validate_materials, validate_tree,
+};
 pub use writer::{MakeTop, OctWriter, Top};

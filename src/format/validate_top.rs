@@ -1,7 +1,8 @@
-//! Checks of the header page and of the top: what opening a file relies on.
+//! Checks of the header page, which opening a file relies on, and of the top, of which each part is checked when it is first used.
 //!
-//! Both are small and read whole. After these checks every page record names bytes of the file, pages and sections fill
-//! it without overlap, and the top tree reaches each brick exactly once and cannot loop.
+//! After these checks every page record names bytes of the file, pages and sections fill it without overlap, and the top tree reaches
+//! each brick exactly once and cannot loop. Where a page lies can be checked by its own entry and the one before it, so that
+//! nobody has to read the whole directory for one page: entries that each follow the one before make a whole that is in order.
 
 use super::validate::{NodeFault, check_boxes, check_family};
 use super::{
@@ -18,20 +19,8 @@ pub enum Refusal {
     Damaged(String),
 }
 
-/// The parts of the top, read in place.
-#[derive(Clone, Copy)]
-pub struct TopView<'a> {
-    /// Top nodes, empty for a file of one page.
-    pub nodes: &'a [Node],
-    /// Brick records, one a page.
-    pub bricks: &'a [Brick],
-    /// Page records.
-    pub records: &'a [PageRecord],
-    /// Material records.
-    pub materials: &'a [MaterialRecord],
-    /// String bytes.
-    pub strings: &'a [u8],
-}
+/// What the directory says of a page: its record and its brick.
+pub type Entry<'a> = (&'a PageRecord, &'a Brick);
 
 /// Reads and checks the header page at the start of `file`, the first bytes of a file of `length` bytes.
 pub fn read_header(file: &[u8], length: u64) -> Result<Header, Refusal> {
@@ -175,63 +164,79 @@ impl Header {
     }
 }
 
-/// Checks the top against a header that was checked. Linear in the top, allocates a few bytes a top node and brick.
-pub fn validate_top(header: &Header, top: &TopView<'_>) -> Result<(), String> {
-    validate_records(header, top)?;
-    validate_bricks(header, top)?;
-    validate_top_nodes(header, top.nodes, top.bricks.len())?;
-    validate_materials(top)
+/// Checks the top tree and the frames of bricks against a header that was checked. Linear in both, allocates a byte for each.
+pub fn validate_tree(header: &Header, nodes: &[Node], bricks: &[Brick]) -> Result<(), String> {
+    if nodes.len() != header.top_nodes as usize || bricks.len() != header.pages as usize {
+        return Err("the top is not as long as the header says".into());
+    }
+    validate_top_nodes(header, nodes, bricks.len())?;
+    let sound = |b: &Brick| b.corner.iter().all(|&c| is_brick_corner(c)) && b.unit.iter().all(|&u| is_brick_unit(u));
+    match bricks.iter().position(|brick| !sound(brick)) {
+        Some(i) => Err(format!("brick {i}: its frame breaks a rule")),
+        None => Ok(()),
+    }
 }
 
-/// Page records: pages side by side from the header page to the first section.
-fn validate_records(header: &Header, top: &TopView<'_>) -> Result<(), String> {
-    let mut end = HEADER_BYTES as u64;
-    for (i, r) in top.records.iter().enumerate() {
-        let packed = header.flags.has(Flags::PACKED);
-        if r.zero != 0
-            || (r.stored_bytes != r.bytes && !packed)
-            || r.stored_bytes == 0
-            || !r.bytes.is_multiple_of(64)
-            || r.bytes < 256
-        {
-            return Err(format!("record of page {i}: the lengths break a rule"));
-        }
-        // The fullest leaf has 16 references in 48 bytes.
-        if r.references == 0 || r.references > r.bytes / 3 {
-            return Err(format!("record of page {i}: the references cannot be that many"));
-        }
-        if r.offset != end.next_multiple_of(PageRecord::alignment(r.references, packed)) {
-            return Err(format!("page {i} does not lie where it should"));
-        }
-        end = r.offset + u64::from(r.stored_bytes);
-        if end > header.file_bytes {
-            return Err(format!("page {i} reaches beyond the end of the file"));
-        }
+/// Checks what the directory says of page `i` by itself and against the entry before it, which is given for every page but the first.
+pub fn validate_entry(header: &Header, i: usize, before: Option<Entry<'_>>, entry: Entry<'_>) -> Result<(), String> {
+    let (r, brick) = entry;
+    let packed = header.flags.has(Flags::PACKED);
+    let stored = u64::from(r.stored_bytes);
+    if r.zero != 0
+        || r.stored_bytes == 0
+        || !r.bytes.is_multiple_of(64)
+        || !(256..=header.largest_page).contains(&r.bytes)
+        || (if packed { stored > most_stored(r.bytes) } else { r.stored_bytes != r.bytes })
+    {
+        return Err(format!("record of page {i}: the lengths break a rule"));
     }
-    if header.sections[0].offset != end.next_multiple_of(64) {
+    // The fullest leaf has 16 references in 48 bytes.
+    if r.references == 0 || r.references > r.bytes / 3 {
+        return Err(format!("record of page {i}: the references cannot be that many"));
+    }
+    let begin = before.map_or(Some(HEADER_BYTES as u64), |(r, _)| r.offset.checked_add(r.stored_bytes.into()));
+    let begin = begin.and_then(|begin| begin.checked_next_multiple_of(PageRecord::alignment(r.references, packed)));
+    if begin != Some(r.offset) {
+        return Err(format!("page {i} does not lie where it should"));
+    }
+    let (end, first_section) = (r.offset.checked_add(stored), header.sections[0].offset);
+    if end.is_none_or(|end| end > first_section) {
+        return Err(format!("page {i} reaches beyond the pages' end"));
+    }
+    let is_last = i + 1 == header.pages as usize;
+    if is_last && end.is_some_and(|end| end.next_multiple_of(64) != first_section) {
         return Err("the pages do not end where the first section begins".into());
     }
-    let largest = top.records.iter().map(|r| r.bytes).max();
-    if largest == Some(header.largest_page) { Ok(()) } else { Err("the largest page is not as the header says".into()) }
+    if u64::from(brick.node) != (if packed { 0 } else { r.offset / 64 + 1 }) {
+        return Err(format!("brick {i} does not name its page's first node"));
+    }
+    let first = before.map_or(0, |(r, brick)| u64::from(brick.first_reference) + u64::from(r.references));
+    if u64::from(brick.first_reference) != first {
+        return Err(format!("brick {i}: its first reference is not the sum of those before"));
+    }
+    if is_last && first + u64::from(r.references) != header.references {
+        return Err("the pages' references are not the header's in sum".into());
+    }
+    Ok(())
 }
 
-/// Brick records: frames, places, and the running sum of references.
-fn validate_bricks(header: &Header, top: &TopView<'_>) -> Result<(), String> {
-    let mut first = 0u64;
-    for (i, (brick, record)) in top.bricks.iter().zip(top.records).enumerate() {
-        let place = if header.flags.has(Flags::PACKED) { 0 } else { record.offset / 64 + 1 };
-        if u64::from(brick.node) != place {
-            return Err(format!("brick {i} does not name its page's first node"));
-        }
-        if u64::from(brick.first_reference) != first {
-            return Err(format!("brick {i}: its first reference is not the sum of those before"));
-        }
-        if !brick.corner.iter().all(|&c| is_brick_corner(c)) || !brick.unit.iter().all(|&u| is_brick_unit(u)) {
-            return Err(format!("brick {i}: its frame breaks a rule"));
-        }
-        first += u64::from(record.references);
+/// The most bytes that a packed page may be stored as: more than zstd ever makes of it, so that a reader knows what memory it needs.
+pub fn most_stored(bytes: u32) -> u64 {
+    u64::from(bytes) + u64::from(bytes) / 8 + 1024
+}
+
+/// Checks the whole directory against a header that was checked: pages side by side from the header page to the first section.
+pub fn validate_directory(header: &Header, records: &[PageRecord], bricks: &[Brick]) -> Result<(), String> {
+    if records.len() != header.pages as usize || bricks.len() != records.len() {
+        return Err("the directory is not as long as the header says".into());
     }
-    if first == header.references { Ok(()) } else { Err("the pages' references are not the header's in sum".into()) }
+    let mut before = None;
+    for (i, entry) in records.iter().zip(bricks).enumerate() {
+        validate_entry(header, i, before, entry)?;
+        before = Some(entry);
+    }
+    let largest = records.iter().map(|r| r.bytes).max();
+    if largest == Some(header.largest_page) { Ok(()) } else { Err("the largest page is not as the header says".into()) }
 }
 
 /// A multiple of 2^-24 in 0..1.
@@ -285,9 +290,9 @@ fn validate_top_nodes(header: &Header, nodes: &[Node], bricks: usize) -> Result<
 }
 
 /// Material records: strings inside the section and UTF-8.
-fn validate_materials(top: &TopView<'_>) -> Result<(), String> {
-    let strings = std::str::from_utf8(top.strings).map_err(|_| "the strings are not UTF-8".to_string())?;
-    for (i, m) in top.materials.iter().enumerate() {
+pub fn validate_materials(materials: &[MaterialRecord], strings: &[u8]) -> Result<(), String> {
+    let strings = std::str::from_utf8(strings).map_err(|_| "the strings are not UTF-8".to_string())?;
+    for (i, m) in materials.iter().enumerate() {
         let sound = [m.name, m.map_kd].iter().all(|&place| string_at(strings, place).is_some());
         if !sound || m.given >= 128 || m.zero != [0; 2] {
             return Err(format!("material {} breaks a rule", i + 1));

@@ -1,5 +1,5 @@
 //! The memory maps of the library: of files, with the guard that keeps a file cut short from killing the process, and, in
-//! `arena`, of memory for pages that are read.
+//! `arena`, of memory for pages that are read; `blank` are arrays that cost nothing until they are used.
 //!
 //! Reading a mapped page that lies beyond the end of its file raises SIGBUS. A handler, installed once, looks the address
 //! up in a registry of our mappings; if it is one of ours, it maps a page of zeros over the fault, marks the mapping
@@ -11,6 +11,7 @@
 #![allow(unsafe_code)]
 
 mod arena;
+mod blank;
 
 use std::fs::File;
 use std::io;
@@ -18,6 +19,7 @@ use std::io;
 use memmap2::Mmap;
 
 pub(crate) use arena::{Arena, Visit, machine_page};
+pub(crate) use blank::Blank;
 
 /// A file mapped for reading.
 pub(crate) struct Mapping {

@@ -1,17 +1,20 @@
-//! The opened octree file: header and top at once, pages when they are first used.
+//! The opened octree file: its header at once, all else when it is first used.
 //!
 //! There are two ways to read one ([`Read`]), with the same answers. *Mapped*, the file's bytes are used where they lie in the system's
 //! page cache (`mapped.rs`). *Budgeted*, pages are read, and unpacked, into a cache of a given size by threads of their own
 //! (`cache/`), so that no more memory is taken whatever the file's size. Pages are used through a [`Visit`], which gives a page
 //! or says that it is not in memory; [`Octree::with_page`] waits for one.
 //!
-//! Opening reads and checks header and top: some 75 bytes a page, a few thousandths of a file. A page's checksum and structure are checked
-//! when it is first used, its checksum whenever it is read again. [`Octree::verify`] checks all of it. A file cut short while it is mapped
-//! reads as zeros from there on (`mmap.rs`), and [`Octree::fault`] says so: ask it before trusting what was read.
+//! Opening reads and checks the header, 4 KiB, whatever the file's size. The tree above the pages is checked when the first visit begins (`top.rs`),
+//! a page's entry in the directory, its checksum and structure when it is first used, its checksum whenever it is read again.
+//! [`Octree::verify`] checks all of it. A file cut short while it is mapped reads as zeros from there on (`mmap.rs`), a damaged part of the top
+//! as nothing, and [`Octree::fault`] says so: ask it before trusting what was read.
 
 mod cache;
 mod detail;
+mod failure;
 mod mapped;
+mod memory;
 mod mmap;
 mod page;
 #[cfg(test)]
@@ -19,6 +22,7 @@ mod sample;
 mod survey;
 #[cfg(test)]
 mod tests;
+mod top;
 mod verify;
 mod visit;
 
@@ -30,17 +34,15 @@ use std::sync::OnceLock;
 use glam::{DVec3, Vec3};
 
 use crate::error::{Error, Result};
-use crate::format::{
-    Brick, Flags, HEADER_BYTES, Header, LeafUnit, MaterialRecord, Node, PageId, PageRecord, Refusal, SectionKind,
-    TopView, checksum, read_header, string_at, validate_top,
-};
+use crate::format::{Flags, HEADER_BYTES, Header, LeafUnit, Node, PageId, Refusal, SectionKind, read_header};
 use crate::geometry::{Aabb, RootCube};
 use cache::Cache;
 use mapped::Mapped;
-use mmap::Mapping;
+use top::{cut, section_ranges};
 
 pub(crate) use cache::Ticket;
 pub use detail::Detail;
+pub use memory::{free_memory, half_of_free_memory};
 pub use page::Page;
 pub use survey::Parts;
 pub use visit::{Halt, Visit};
@@ -82,16 +84,16 @@ pub struct Figures {
     pub most_bytes: u64,
 }
 
-/// An octree file, opened. Cheap to open: header and top are checked; a page is checked when it is first used.
+/// An octree file, opened. Cheap to open: only its header is checked; all else is when it is first used.
 pub struct Octree {
     path: PathBuf,
     header: Header,
-    /// Where the sections lie, by kind - 1, in the map or in `top`; empty for those the file has not.
+    /// Where the sections lie, by kind - 1, in the map or in the part of the top that was read; empty for those the file has not.
     sections: [Range<usize>; SectionKind::COUNT],
     /// Whether what is for level of detail is sound, once that was asked.
     detail: OnceLock<Result<(), String>>,
-    /// What follows the pages, but for level of detail; empty for a mapped file.
-    top: Box<[Node]>,
+    /// What follows the pages, but for level of detail.
+    parts: top::Parts,
     /// The sections for level of detail, once they were used; never for a mapped file.
     heads: OnceLock<Box<[Node]>>,
     pages: Pages,
@@ -105,7 +107,8 @@ enum Pages {
 impl Octree {
     /// Opens a file: mapped, or a packed one with a cache of half of the memory that is free.
     ///
-    /// Errors: a missing file, another kind of file or a newer version (input), a damaged one, or the system's.
+    /// Errors: a missing file, another kind of file or a newer version (input), a damaged header, or the system's. Damage elsewhere is told when
+    /// it is met.
     pub fn open(path: &Path) -> Result<Octree> {
         Octree::open_as(path, None)
     }
@@ -133,65 +136,52 @@ impl Octree {
     fn open_as(path: &Path, read: Option<Read>) -> Result<Octree> {
         let (file, header) = head(path)?;
         let read = read.unwrap_or_else(|| match header.flags.has(Flags::PACKED) {
-            true => Read::Budgeted { cache: least_cache(&header).max(free_memory() / 2) },
+            true => Read::Budgeted { cache: least_cache(&header).max(half_of_free_memory()) },
             false => Read::Mapped,
         });
-        let octree = match read {
-            Read::Mapped => Octree::map(path, &file, header)?,
-            Read::Budgeted { cache } => Octree::read(path, file, header, cache)?,
+        let refused = |what: String| Err(Error::Input { file: path.to_owned(), what });
+        let pages = match read {
+            Read::Mapped if header.flags.has(Flags::PACKED) => {
+                return refused(
+                    "its pages are packed, so it cannot be mapped; read it within a budget of memory".into(),
+                );
+            }
+            Read::Mapped => Pages::Mapped(Mapped::new(file, &header).map_err(Error::io(path, "map"))?),
+            Read::Budgeted { cache } if cache < least_cache(&header) => {
+                let least = least_cache(&header);
+                return refused(format!(
+                    "its largest page needs {least} bytes of memory, but pages may take {cache} in all"
+                ));
+            }
+            Read::Budgeted { cache } => {
+                let cache = Cache::new(path.to_owned(), file, &header, cache);
+                Pages::Cached(cache.map_err(Error::io(path, "make room for the pages of"))?)
+            }
         };
-        octree.fault()?;
-        Ok(octree)
+        let heads = heads_at(&header).unwrap_or(header.file_bytes);
+        let sections = section_ranges(&header, matches!(pages, Pages::Mapped(_)), heads);
+        let (heads, detail, parts) = (OnceLock::new(), OnceLock::new(), top::Parts::default());
+        Ok(Octree { path: path.to_owned(), header, sections, detail, parts, heads, pages })
     }
 
-    /// Maps a file.
-    fn map(path: &Path, file: &File, header: Header) -> Result<Octree> {
-        if header.flags.has(Flags::PACKED) {
-            let what = "its pages are packed, so it cannot be mapped; read it within a budget of memory";
-            return Err(Error::Input { file: path.to_owned(), what: what.into() });
-        }
-        let map = Mapping::new(file).map_err(Error::io(path, "map"))?;
-        let sections =
-            section_ranges(&header, map.bytes(), 0, None).map_err(|what| Error::damaged(path, None, what))?;
-        let pages = Pages::Mapped(Mapped::new(map, header.pages));
-        let (top, heads, detail) = (Box::default(), OnceLock::new(), OnceLock::new());
-        let octree = Octree { path: path.to_owned(), header, sections, detail, top, heads, pages };
-        validate_top(&octree.header, &octree.top()).map_err(|what| octree.damaged(None, what))?;
-        Ok(octree)
-    }
-
-    /// Reads a file's top, and makes a cache for its pages.
-    fn read(path: &Path, file: File, header: Header, budget: u64) -> Result<Octree> {
-        let least = least_cache(&header);
-        if budget < least {
-            let what = format!("its largest page needs {least} bytes of memory, but pages may take {budget} in all");
-            return Err(Error::Input { file: path.to_owned(), what });
-        }
-        let begin = header.sections[0].offset;
-        let heads = heads_at(&header);
-        let bytes = (heads.unwrap_or(header.file_bytes) - begin) as usize;
-        let mut top = vec![Node::EMPTY; bytes.div_ceil(size_of::<Node>())].into_boxed_slice();
-        let damaged = |what: String| Error::damaged(path, None, what);
-        cache::read_at(&file, &mut bytemuck::cast_slice_mut(&mut top)[..bytes], begin).map_err(|error| match error
-            .kind()
-        {
-            std::io::ErrorKind::UnexpectedEof => damaged("cut short while in use".into()),
-            _ => Error::io(path, "read")(error),
-        })?;
-        let sections = section_ranges(&header, bytemuck::cast_slice(&top), begin, heads).map_err(damaged)?;
-        let view = top_view(&sections, bytemuck::cast_slice(&top));
-        validate_top(&header, &view).map_err(damaged)?;
-        let records = view.records;
-        let cache = Cache::new(path.to_owned(), file, &header, records, budget);
-        let pages = Pages::Cached(cache.map_err(Error::io(path, "make room for the pages of"))?);
-        let (heads, detail) = (OnceLock::new(), OnceLock::new());
-        Ok(Octree { path: path.to_owned(), header, sections, detail, top, heads, pages })
+    /// Memory that reading a file within a budget takes beside the cache, bytes at most: what of its top is used, and what unpacks pages.
+    pub fn beside_cache(header: &Header) -> u64 {
+        // What is noted of a page once it was used.
+        const NOTES: u64 = 16;
+        top::bytes_of(header) + cache::unpacking(header) + NOTES * u64::from(header.pages)
     }
 
     /// Lets pages take so many bytes of memory from now on, at least what [`Octree::least_cache`] says. Nothing for a mapped file.
     pub fn set_cache(&self, bytes: u64) {
         if let Pages::Cached(cache) = &self.pages {
             cache.set_budget(bytes.max(least_cache(&self.header)));
+        }
+    }
+
+    /// Evicts all pages that nobody is using, so that what follows begins with nothing in memory. Nothing for a mapped file.
+    pub fn forget(&self) {
+        if let Pages::Cached(cache) = &self.pages {
+            cache.forget();
         }
     }
 
@@ -231,35 +221,6 @@ impl Octree {
     /// Bounds of all stored triangles.
     pub fn bounds(&self) -> Aabb {
         Aabb { min: Vec3::from_array(self.header.bounds_min), max: Vec3::from_array(self.header.bounds_max) }
-    }
-
-    /// Top nodes, empty for a file of one page.
-    #[inline]
-    pub fn top_nodes(&self) -> &[Node] {
-        self.section(SectionKind::TopNodes)
-    }
-
-    /// Brick records, one a page.
-    #[inline]
-    pub fn bricks(&self) -> &[Brick] {
-        self.section(SectionKind::Bricks)
-    }
-
-    /// Page records.
-    #[inline]
-    pub fn records(&self) -> &[PageRecord] {
-        self.section(SectionKind::Pages)
-    }
-
-    /// Materials.
-    pub fn materials(&self) -> &[MaterialRecord] {
-        self.section(SectionKind::Materials)
-    }
-
-    /// A string that a material names by offset and length.
-    pub fn string(&self, place: [u32; 2]) -> &str {
-        let strings = std::str::from_utf8(self.section(SectionKind::Strings));
-        strings.ok().and_then(|strings| string_at(strings, place)).unwrap_or("")
     }
 
     /// Uses a page; waits for it if it is not in memory.
@@ -305,44 +266,15 @@ impl Octree {
 
     /// What was read so far.
     pub fn figures(&self) -> Figures {
-        let mapped = match &self.pages {
-            Pages::Cached(cache) => return cache.figures(),
-            Pages::Mapped(mapped) => mapped,
-        };
-        // A page is read once, when it is checked.
-        let (touched, bytes) = mapped.used(self).fold((0, 0), |(n, sum), r| (n + 1, sum + u64::from(r.stored_bytes)));
-        Figures {
-            total: self.header.pages.into(),
-            touched,
-            bytes_touched: bytes,
-            read: touched,
-            bytes_read: bytes,
-            ..Figures::default()
-        }
-    }
-
-    /// An error if the file was cut short while it was mapped: what was read since may be zeros, and no result holds.
-    #[inline]
-    pub fn fault(&self) -> Result<()> {
         match &self.pages {
-            Pages::Mapped(mapped) if mapped.map.faulted() => Err(self.damaged(None, "cut short while in use".into())),
-            _ => Ok(()),
+            Pages::Cached(cache) => cache.figures(),
+            Pages::Mapped(mapped) => mapped.figures(&self.header),
         }
     }
 
     /// The error for a page number beyond the last, or for a top that turned to zeros.
     fn no_page(&self, id: PageId) -> Error {
         self.fault().err().unwrap_or_else(|| self.damaged(Some(id.0), "there is no such page".into()))
-    }
-
-    /// A section's records.
-    #[inline]
-    fn section<T: bytemuck::Pod>(&self, kind: SectionKind) -> &[T] {
-        let bytes = match &self.pages {
-            Pages::Mapped(mapped) => mapped.map.bytes(),
-            Pages::Cached(_) => bytemuck::cast_slice(&self.top),
-        };
-        cut(&self.sections, bytes, kind)
     }
 
     /// What the ranges of the sections for level of detail count from; read from the file when it is first used, unless that is mapped.
@@ -355,11 +287,8 @@ impl Octree {
             return Ok(bytemuck::cast_slice(heads));
         }
         let begin = heads_at(&self.header).unwrap_or(self.header.file_bytes);
-        let bytes = (self.header.file_bytes - begin) as usize;
-        let mut heads = vec![Node::EMPTY; bytes.div_ceil(size_of::<Node>())].into_boxed_slice();
-        cache
-            .read_at(&mut bytemuck::cast_slice_mut(&mut heads)[..bytes], begin)
-            .map_err(Error::io(&self.path, "read"))?;
+        let heads = top::read_nodes(cache.file(), begin..self.header.file_bytes);
+        let heads = heads.map_err(|failure| failure.error(&self.path, None))?;
         Ok(bytemuck::cast_slice(self.heads.get_or_init(|| heads)))
     }
 
@@ -371,20 +300,9 @@ impl Octree {
             }
             Pages::Cached(cache) => {
                 let mut bytes = vec![0; range.end.saturating_sub(range.start) as usize];
-                cache.read_at(&mut bytes, range.start).map_err(Error::io(&self.path, "read"))?;
+                cache::read_at(cache.file(), &mut bytes, range.start).map_err(Error::io(&self.path, "read"))?;
                 Ok(bytes)
             }
-        }
-    }
-
-    /// The whole top.
-    fn top(&self) -> TopView<'_> {
-        TopView {
-            nodes: self.top_nodes(),
-            bricks: self.bricks(),
-            records: self.records(),
-            materials: self.materials(),
-            strings: self.section(SectionKind::Strings),
         }
     }
 
@@ -423,59 +341,4 @@ fn heads_at(header: &Header) -> Option<u64> {
 /// Bytes of memory that one page takes at most.
 fn least_cache(header: &Header) -> u64 {
     u64::from(header.largest_page).next_multiple_of(mmap::machine_page() as u64)
-}
-
-/// Where the sections lie, by kind - 1, in `bytes`, which begin at byte `begin` of the file; the checksums of those that are always used
-/// verified. What is for level of detail is checked when it is first used; if it is read by itself, from byte `heads` on, that is what its ranges
-/// count from.
-fn section_ranges(
-    header: &Header,
-    bytes: &[u8],
-    begin: u64,
-    heads: Option<u64>,
-) -> Result<[Range<usize>; SectionKind::COUNT], String> {
-    let mut ranges = [const { 0..0 }; SectionKind::COUNT];
-    for section in header.sections.iter().filter(|s| s.kind != 0) {
-        let late = section.kind >= SectionKind::Heads as u32;
-        let from = heads.filter(|_| late).unwrap_or(begin);
-        let start = section.offset.checked_sub(from).ok_or("a section lies before the first")? as usize;
-        let range = start..start + section.bytes as usize;
-        if !(late && heads.is_some()) {
-            let bytes = bytes.get(range.clone()).ok_or("a section reaches beyond the end of the file")?;
-            if !late && checksum(bytes) != section.checksum {
-                return Err(format!("the checksum of section {} is wrong", section.kind));
-            }
-        }
-        ranges[section.kind as usize - 1] = range;
-    }
-    Ok(ranges)
-}
-
-/// A section's records.
-#[inline]
-fn cut<'a, T: bytemuck::Pod>(
-    sections: &[Range<usize>; SectionKind::COUNT],
-    bytes: &'a [u8],
-    kind: SectionKind,
-) -> &'a [T] {
-    bytemuck::try_cast_slice(&bytes[sections[kind as usize - 1].clone()]).unwrap_or(&[])
-}
-
-/// The whole top, in `bytes`.
-fn top_view<'a>(sections: &[Range<usize>; SectionKind::COUNT], bytes: &'a [u8]) -> TopView<'a> {
-    TopView {
-        nodes: cut(sections, bytes, SectionKind::TopNodes),
-        bricks: cut(sections, bytes, SectionKind::Bricks),
-        records: cut(sections, bytes, SectionKind::Pages),
-        materials: cut(sections, bytes, SectionKind::Materials),
-        strings: cut(sections, bytes, SectionKind::Strings),
-    }
-}
-
-/// Bytes of memory that are free; some where the system does not tell.
-fn free_memory() -> u64 {
-    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
-    let kib = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
-    kib.map_or(2 << 30, |kib| kib << 10)
 }

@@ -50,6 +50,7 @@ impl Octree {
             detail: sections.filter(|s| s.kind >= SectionKind::Heads as u32).map(|s| s.bytes).sum(),
             ..Parts::default()
         };
+        self.check_top()?;
         for i in 0..self.header.pages {
             monitor.check()?;
             self.with_page(PageId(i), |page| parts.add_page(self, &page))?;

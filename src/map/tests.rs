@@ -7,8 +7,8 @@ use super::sample::{MATERIALS, Sample, random};
 use super::*;
 use crate::error::Kind;
 use crate::event::Monitor;
-use crate::format::validate_page;
 use crate::format::{PAGE_HEADER_BYTES, PageHeader, Slot};
+use crate::format::{PageRecord, checksum, validate_page};
 use crate::geometry::{FaceId, Triangle};
 
 const ALL: u32 = Flags::IDS | Flags::MATERIALS | Flags::NORMALS | Flags::TEXCOORDS | Flags::DETAIL;

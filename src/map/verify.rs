@@ -47,6 +47,7 @@ impl Octree {
     /// Needs a bit for each source triangle where the file has face ids. Progress counts pages.
     pub fn verify(&self, monitor: Monitor<'_>) -> Result<()> {
         monitor.phase("verify");
+        self.check_top()?;
         self.check_gaps()?;
         self.check_detail()?;
         let entries = self.brick_entries();

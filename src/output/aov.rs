@@ -179,6 +179,7 @@ fn what(kind: AovKind) -> &'static str {
         AovKind::Depth => "depth, nine tenths of it",
         AovKind::Cost => "nodes and leaves a pixel",
         AovKind::Pages => "pages a pixel",
+        AovKind::Reads => "waits for pages a pixel",
         AovKind::Shadow => "lights kept off",
         _ => kind.name(),
     }

@@ -31,6 +31,8 @@ pub enum AovKind {
     Cost,
     /// Pages entered for the pixel, likewise; a page counts each time a ray enters it.
     Pages,
+    /// How often a ray of the pixel came to a page that was not in memory; 0 for mapped files. Depends on what was traced before.
+    Reads,
     /// Share of the lights that do not reach what is seen, 0 to 1.
     Shadow,
 }
@@ -61,7 +63,7 @@ pub enum Values {
 
 impl AovKind {
     /// All, in the order in which they are told to users.
-    pub const ALL: [AovKind; 8] = [
+    pub const ALL: [AovKind; 9] = [
         AovKind::Depth,
         AovKind::Normal,
         AovKind::Position,
@@ -69,6 +71,7 @@ impl AovKind {
         AovKind::Material,
         AovKind::Cost,
         AovKind::Pages,
+        AovKind::Reads,
         AovKind::Shadow,
     ];
 
@@ -82,6 +85,7 @@ impl AovKind {
             AovKind::Material => "material",
             AovKind::Cost => "cost",
             AovKind::Pages => "pages",
+            AovKind::Reads => "reads",
             AovKind::Shadow => "shadow",
         }
     }
@@ -93,7 +97,7 @@ impl AovKind {
 
     /// Whether it needs what the middle of a pixel sees; the others count work.
     fn looks(self) -> bool {
-        !matches!(self, AovKind::Cost | AovKind::Pages)
+        !matches!(self, AovKind::Cost | AovKind::Pages | AovKind::Reads)
     }
 
     /// Bytes of a pixel.
@@ -107,14 +111,14 @@ impl AovKind {
             AovKind::Normal | AovKind::Position => Values::Vector(vec![[0.0; 3]; count]),
             AovKind::Face | AovKind::Material => Values::Id(vec![u32::MAX; count]),
             AovKind::Depth => Values::Scalar(vec![f32::INFINITY; count]),
-            AovKind::Cost | AovKind::Pages | AovKind::Shadow => Values::Scalar(vec![0.0; count]),
+            AovKind::Cost | AovKind::Pages | AovKind::Reads | AovKind::Shadow => Values::Scalar(vec![0.0; count]),
         }
     }
 }
 
 /// Pictures of data of a world, one for each of `kinds`, on the threads of the current rayon pool.
 ///
-/// All but cost and pages are of one ray through the middle of each pixel, whatever the number of samples. Fails for settings
+/// All but cost, pages and reads are of one ray through the middle of each pixel, whatever the number of samples. Fails for settings
 /// that make no picture, for a damaged page or a failed read, and with [`Error::Interrupted`].
 pub fn aovs(world: &World, settings: &Settings, kinds: &[AovKind], monitor: Monitor<'_>) -> Result<Vec<Aov>> {
     let job = Job::new(world, settings)?;
@@ -147,8 +151,8 @@ pub fn aovs(world: &World, settings: &Settings, kinds: &[AovKind], monitor: Moni
 struct Desk {
     wave: Wave,
     looks: Vec<Option<Look>>,
-    /// Nodes and leaves, and pages.
-    work: Vec<[f32; 2]>,
+    /// Nodes and leaves, pages, and waits for pages.
+    work: Vec<[f32; 3]>,
 }
 
 impl Desk {
@@ -174,7 +178,8 @@ impl Desk {
             }
             let after = wave.work();
             let visits = (after.nodes - before.nodes) + (after.leaves - before.leaves);
-            work.push([visits as f32, (after.bricks - before.bricks) as f32]);
+            let [pages, waits] = [after.bricks - before.bricks, after.waits - before.waits];
+            work.push([visits as f32, pages as f32, waits as f32]);
         }
         Ok(())
     }
@@ -189,6 +194,9 @@ impl Desk {
             }
             (Values::Scalar(to), AovKind::Pages) => {
                 to.iter_mut().skip(first).zip(&self.work).for_each(|(v, w)| *v = w[1])
+            }
+            (Values::Scalar(to), AovKind::Reads) => {
+                to.iter_mut().skip(first).zip(&self.work).for_each(|(v, w)| *v = w[2])
             }
             (Values::Scalar(to), AovKind::Depth) => looks.for_each(|(i, look)| to[i] = look.depth as f32),
             (Values::Scalar(to), _) => looks.for_each(|(i, look)| to[i] = look.shadow),

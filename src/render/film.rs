@@ -1,6 +1,7 @@
 //! The film: linear light of every pixel.
 
 use crate::error::{Error, Result};
+use crate::map::free_memory;
 
 /// A picture in linear RGB, rows from the top.
 #[derive(Clone, Debug, PartialEq)]
@@ -58,7 +59,7 @@ impl Film {
 
 /// Whether so many bytes of memory are free, where the system tells; an error about `what` if not.
 pub(super) fn room_for(bytes: u64, what: impl FnOnce() -> String) -> Result<()> {
-    match available_memory() {
+    match free_memory() {
         Some(free) if bytes > free => Err(too_large(bytes, what)),
         _ => Ok(()),
     }
@@ -69,13 +70,6 @@ pub(super) fn too_large(bytes: u64, what: impl FnOnce() -> String) -> Error {
     let gib = bytes as f64 / f64::from(1 << 30);
     let (what, more) = (what(), "more than there is; ask for a smaller size, or for parts with a crop");
     Error::Option(format!("{what} needs {gib:.1} GiB of memory, {more}"))
-}
-
-/// Bytes of memory that are free, where the system tells.
-fn available_memory() -> Option<u64> {
-    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
-    let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
 #[cfg(test)]

@@ -30,6 +30,8 @@ pub fn triangles_in_box(
     bounds: Option<Aabb>,
     visit: &mut dyn FnMut(Stored) -> Result<()>,
 ) -> Result<()> {
+    // Which pages are left out depends on what the directory says of them.
+    octree.check_top()?;
     let mut seen = octree.flags().has(Flags::REPEATS).then(HashSet::new);
     let region = bounds.map(|bounds| Region::new(octree, bounds));
     for number in 0..octree.bricks().len() as u32 {

@@ -274,6 +274,8 @@ pub struct Counters {
     pub doubts: u64,
     /// Triangles that needed expansions to decide whether they are hit.
     pub exact: u64,
+    /// How often a ray came to a page that was not in memory, and had to wait. Depends on what was traced before, unlike all else.
+    pub waits: u64,
 }
 
 impl std::ops::Add for Counters {
@@ -287,6 +289,7 @@ impl std::ops::Add for Counters {
             bricks: self.bricks + other.bricks,
             doubts: self.doubts + other.doubts,
             exact: self.exact + other.exact,
+            waits: self.waits + other.waits,
         }
     }
 }

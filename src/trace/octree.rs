@@ -171,6 +171,7 @@ impl Walker<'_> {
                 Err(Halt::Failed(error)) => return Err(error),
                 Err(Halt::Absent(page)) => {
                     drop(visit);
+                    counters.waits += 1;
                     // The page before may go now, this one stays until the ray has been through it.
                     drop(ticket.take());
                     let asked = octree.ask(page, 1);
@@ -245,7 +246,8 @@ impl Walker<'_> {
         for<'c> A::Collector<'c>: Collector<'c>,
     {
         let (octree, scene, isa) = (self.octree(), self.scene, self.isa);
-        Patient { octree, scene, isa, ask, rays, fast }.answer(answers, counters)
+        Patient { octree, scene, isa, ask, rays, fast }.answer(answers, counters)?;
+        octree.fault()
     }
 
     /// Rays that one task of a batch takes. Where rays may wait, each thread has many, so that others can go on.

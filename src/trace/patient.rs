@@ -252,6 +252,7 @@ where
             Err(Halt::Failed(error)) => return Err(error),
             Err(Halt::Absent(PageId(page))) => {
                 let fresh = self.packets.clone().map(Waiting::fresh);
+                self.counters.waits += (self.taken.len() + fresh.len()) as u64;
                 self.halted.extend(self.taken.drain(..).chain(fresh).map(|ray| (page, ray)));
                 return Ok(());
             }
@@ -312,7 +313,7 @@ where
                 kernel.save(&mut sight.saved, frame, near);
                 sight.left = left;
                 live |= u32::from(left != 0) << count;
-                counters.nodes += 1;
+                counters.nodes += u64::from(waiting.trail.is_empty());
             }
             count += 1;
         }
@@ -324,10 +325,14 @@ where
         for k in (0..count).filter(|k| live >> k & 1 != 0) {
             let (ray, sight, collector) = (&those[k], &space.crew[k], &mut collectors[k]);
             trip.begin(trails[k]);
-            match file.walk(kernel, &mut space.levels, start, ray, sight, depths, collector, counters, trip) {
+            let outcome = file.walk(kernel, &mut space.levels, start, ray, sight, depths, collector, counters, trip);
+            // Work is counted as if the ray had never waited.
+            counters.nodes -= trip.again();
+            match outcome {
                 Ok(()) => {}
                 Err(Halt::Absent(PageId(page))) => {
                     done &= !(1 << k);
+                    counters.waits += 1;
                     let rest = A::rest(collector, ray);
                     halted.push((page, Waiting { place: places[k] as u32, trail: trip.halted(), rest }));
                 }

@@ -49,6 +49,12 @@ pub(super) struct Trail {
 const RANKS: usize = 21;
 
 impl Trail {
+    /// Whether it is that of a walk that has not begun.
+    #[inline]
+    pub fn is_empty(&self) -> bool {
+        self.length == 0
+    }
+
     #[inline]
     fn get(&self, i: u8) -> Option<u32> {
         let i = usize::from(i);
@@ -72,6 +78,8 @@ pub(super) struct Halting {
     trail: Trail,
     /// Whether all slots taken so far are those of the trail.
     following: bool,
+    /// Nodes entered along the trail, which were entered before; without the root.
+    again: u64,
     path: Trail,
     /// The length of the path down to the node at each height of the stack.
     lengths: [u8; LEVELS],
@@ -79,13 +87,20 @@ pub(super) struct Halting {
 
 impl Halting {
     pub fn new() -> Halting {
-        Halting { trail: Trail::default(), following: false, path: Trail::default(), lengths: [0; LEVELS] }
+        Halting { trail: Trail::default(), following: false, again: 0, path: Trail::default(), lengths: [0; LEVELS] }
     }
 
     /// Gets ready for a walk along a trail; an empty one for a walk from the beginning.
     #[inline]
     pub fn begin(&mut self, trail: Trail) {
         (self.trail, self.following, self.path.length) = (trail, trail.length > 0, 0);
+        self.again = 0;
+    }
+
+    /// How many nodes below the root were entered only to come back to where the walk was halted before.
+    #[inline]
+    pub fn again(&self) -> u64 {
+        self.again
     }
 
     /// Where the walk was halted.
@@ -108,6 +123,8 @@ impl Trip for Halting {
     fn take(&mut self, rank: u32) {
         self.following &= self.trail.get(self.path.length) == Some(rank);
         self.path.push(rank);
+        // The last rank is that of the page that was missing.
+        self.again += u64::from(self.following && self.path.length < self.trail.length);
     }
 
     #[inline(always)]
@@ -138,12 +155,14 @@ mod tests {
         trip.take(2);
         let halted = trip.halted();
         assert_eq!((halted.length, halted.get(0), halted.get(1), halted.get(2)), (2, Some(1), Some(2), None));
-        // The same way again: what came before is left out.
+        assert_eq!(trip.again(), 0);
+        // The same way again: what came before is left out, and the node below the root was entered before.
         trip.begin(halted);
         assert_eq!(trip.enter(0b1011), 0b1010);
         trip.keep(0);
         trip.take(1);
         assert_eq!(trip.enter(0b11_0011), 0b11_0000);
+        assert_eq!(trip.again(), 1);
         // The slot of the trail is gone, so another one is taken, and nothing is left out below it.
         trip.take(4);
         assert_eq!(trip.enter(0b11), 0b11);

@@ -189,8 +189,15 @@ impl<'a> File<'a> {
                     top = keep(kernel, stack, top, (frame, near), [index, view.number, left]);
                 }
                 trip.take(rank);
+                view = match self.view(number) {
+                    Ok(view) => view,
+                    Err(halt) => {
+                        counters.nodes += nodes;
+                        counters.bricks += bricks;
+                        return Err(halt);
+                    }
+                };
                 bricks += 1;
-                view = self.view(number)?;
                 index = 0;
                 frame = kernel.frame(&cell_of(brick), &sight.setup.aim, &sight.setup.way);
             } else {

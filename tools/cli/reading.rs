@@ -2,6 +2,7 @@
 
 use octrace::Error;
 use octrace::format::{Flags, Header};
+use octrace::map::{Octree, half_of_free_memory};
 
 /// Flags for reading octree files.
 #[derive(Clone, Debug, clap::Args)]
@@ -44,15 +45,15 @@ impl Reading {
             (Some(How::Mapped), None) => Ok(None),
             (None, None) if !packed => Ok(None),
             (_, Some(memory)) => Ok(Some(memory)),
-            (_, None) => Ok(Some(free_memory() / 2)),
+            (_, None) => Ok(Some(half_of_free_memory())),
         }
     }
 }
 
-/// What of the bound is left beside what this process has taken so far, and what the page tables of the files will take.
+/// What of the bound is left beside what this process has taken so far, and what the files will take beside their pages.
 pub fn left_of(memory: u64, headers: &[Header]) -> Result<u64, u64> {
-    let tables: u64 = headers.iter().map(|header| 16 * u64::from(header.pages)).sum();
-    let taken = resident_bytes().unwrap_or(32 << 20) + REST + tables;
+    let beside: u64 = headers.iter().map(Octree::beside_cache).sum();
+    let taken = resident_bytes().unwrap_or(32 << 20) + REST + beside;
     memory.checked_sub(taken).ok_or(taken)
 }
 
@@ -80,12 +81,4 @@ fn resident_bytes() -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"))?;
     Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? << 10)
-}
-
-/// Memory that is free, where the system tells.
-fn free_memory() -> u64 {
-    let text = std::fs::read_to_string("/proc/meminfo").unwrap_or_default();
-    let line = text.lines().find_map(|line| line.strip_prefix("MemAvailable:"));
-    let kib = line.and_then(|line| line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok());
-    kib.map_or(2 << 30, |kib| kib << 10)
 }

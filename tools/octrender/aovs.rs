@@ -13,7 +13,7 @@ use crate::place::Place;
 /// A picture of data, and where it goes.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct AovFile {
-    kind: AovKind,
+    pub kind: AovKind,
     path: PathBuf,
 }
 

@@ -21,7 +21,7 @@ use octrace::build::BuildOptions;
 use octrace::map::{Octree, Read};
 use octrace::mesh::ReadOptions;
 use octrace::output::{self, Format};
-use octrace::render::{self, Picture, Plan, Settings, Share, Statistics, Tile};
+use octrace::render::{self, AovKind, Picture, Plan, Settings, Share, Statistics, Tile};
 use octrace::scene::{LoadOptions, MeshFile, Scene};
 use octrace::shade::World;
 use octrace::{Error, Result, find_or_build};
@@ -82,9 +82,10 @@ struct PictureArgs {
     /// Counted from the top left corner; X1 and Y1 are not included.
     #[arg(long, value_name = "X0,Y0,X1,Y1", value_parser = cli::args::pixels)]
     crop: Option<[u32; 4]>,
-    /// Write a picture of data too: depth, normal, position, face, material, shadow, cost or pages
+    /// Write a picture of data too: depth, normal, position, face, material, shadow, cost, pages or reads
     ///
-    /// As .exr (the numbers) or .png (false colours). Cost is the nodes and leaves visited, pages those entered. May be repeated.
+    /// As .exr (the numbers) or .png (false colours). Cost is the nodes and leaves visited, pages those entered, reads those that were waited for (with --memory). May be
+    /// repeated.
     #[arg(long, value_name = "NAME=FILE", value_parser = aovs::parse)]
     aov: Vec<AovFile>,
     /// Let parts of a mesh smaller than so many pixels stand for their triangles [default: 0]
@@ -256,7 +257,11 @@ fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
                 Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
                 Place::File(path) => output::save(&picture.film, path, tonemap)?,
             }
-            if let Some((world, _)) = &drawn {
+            if let Some((world, meshes)) = &drawn {
+                if aov.iter().any(|aov| aov.kind == AovKind::Reads) {
+                    // It shows what has to be read where nothing is there to begin with.
+                    meshes.iter().for_each(|mesh| mesh.forget());
+                }
                 aovs::write(aov, world, &settings, session)?;
             }
             stats
@@ -317,8 +322,8 @@ fn plan(
         Ok(left) => plan_for(left)?.map_err(|least| memory - left + least),
     };
     let plan = plan.map_err(|least| reading::too_small(least + beside))?;
-    // By what each would take as a whole.
-    let whole = |mesh: &Octree| mesh.records().iter().map(|record| u64::from(record.bytes)).sum::<u64>().max(1);
+    // By what each would take as a whole, or nearly so.
+    let whole = |mesh: &Octree| mesh.header().file_bytes;
     let wholes: u64 = meshes.iter().map(|mesh| whole(mesh)).sum();
     for (mesh, own) in meshes.iter().zip(&leasts) {
         let share = (plan.pages - least) as f64 * (whole(mesh) as f64 / wholes as f64);

@@ -26,10 +26,10 @@ pub(super) struct Desk {
     doomed: u64,
     /// Pages loaded so far.
     loads: u64,
-    /// Which pages were read before, so that their structure is known to be sound.
-    read: Box<[bool]>,
     failed: HashMap<u32, Failure>,
     pub(super) figures: Figures,
+    /// Whether a loader looks again and again whether room has come.
+    pub(super) looking: bool,
     pub(super) stop: bool,
 }
 
@@ -47,23 +47,29 @@ struct Wanted {
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Stage {
     Queued,
-    Loading,
+    /// In so much room.
+    Loading(u64),
     Here,
+}
+
+/// A page that was loaded.
+pub(super) struct Loaded {
+    /// Its bytes as they are stored.
+    pub stored: u32,
+    /// Whether it was loaded before.
+    pub again: bool,
 }
 
 /// What a loader is to do next.
 pub(super) enum Task {
-    Load {
-        page: u32,
-        known: bool,
-    },
+    Load(u32),
     /// Room is needed that visits still hold.
     Wait,
     Nothing,
 }
 
 impl Desk {
-    pub(super) fn new(pages: usize) -> Desk {
+    pub(super) fn new() -> Desk {
         Desk {
             wanted: HashMap::new(),
             queued: 0,
@@ -73,9 +79,9 @@ impl Desk {
             taken: 0,
             doomed: 0,
             loads: 0,
-            read: vec![false; pages].into(),
             failed: HashMap::new(),
             figures: Figures::default(),
+            looking: false,
             stop: false,
         }
     }
@@ -120,12 +126,17 @@ impl Desk {
         }
         match wanted.stage {
             // The loader, when it has done, finds that nobody waits.
-            Stage::Loading => return false,
+            Stage::Loading(_) => return false,
             Stage::Queued => self.queued -= usize::from(!self.failed.contains_key(&page)),
             Stage::Here => {}
         }
         self.wanted.remove(&page);
         true
+    }
+
+    /// Whether pages are asked for that no loader has taken up.
+    pub(super) fn is_asked(&self) -> bool {
+        self.queued > 0
     }
 
     /// Why a page cannot be had.
@@ -153,42 +164,44 @@ impl Desk {
         self.taken += room;
         self.queued -= 1;
         if let Some(wanted) = self.wanted.get_mut(&page) {
-            wanted.stage = Stage::Loading;
+            wanted.stage = Stage::Loading(room);
         }
-        Task::Load { page, known: self.read[page as usize] }
+        Task::Load(page)
     }
 
     /// A page has been loaded.
-    pub(super) fn loaded(&mut self, core: &Core, page: u32) {
-        let record = &core.records[page as usize];
-        let again = std::mem::replace(&mut self.read[page as usize], true);
+    pub(super) fn loaded(&mut self, core: &Core, page: u32, loaded: Loaded) {
+        let Loaded { stored, again } = loaded;
         let figures = &mut self.figures;
         figures.read += 1;
-        figures.bytes_read += u64::from(record.stored_bytes);
+        figures.bytes_read += u64::from(stored);
         if again {
             figures.reread += 1;
         } else {
             figures.touched += 1;
-            figures.bytes_touched += u64::from(record.stored_bytes);
+            figures.bytes_touched += u64::from(stored);
         }
         self.loads += 1;
         core.used[page as usize].store(false, Ordering::Relaxed);
         self.ring.push(page);
+        self.taken += core.room(page);
         self.end_loading(page);
-        figures_peak(&mut self.figures, self.taken);
+        self.figures.most_bytes = self.figures.most_bytes.max(self.taken);
     }
 
     /// A page could not be loaded.
     pub(super) fn lost(&mut self, core: &Core, page: u32, failure: Failure) {
-        self.taken -= core.room(page);
         self.failed.insert(page, failure);
         core.failing.store(true, Ordering::Release);
         self.end_loading(page);
     }
 
+    /// Gives back the room that was kept for a page while it was loaded.
     fn end_loading(&mut self, page: u32) {
         let Some(wanted) = self.wanted.get_mut(&page) else { return };
-        wanted.stage = Stage::Here;
+        if let Stage::Loading(room) = std::mem::replace(&mut wanted.stage, Stage::Here) {
+            self.taken -= room;
+        }
         if wanted.tickets == 0 {
             self.wanted.remove(&page);
         }
@@ -214,17 +227,25 @@ impl Desk {
                 break;
             }
         }
-        while self.taken + room > budget {
-            let freed = self.limbo.iter().position(|&page| core.arena.free(page as usize));
-            match freed.and_then(|place| self.limbo.remove(place)) {
-                Some(page) => {
-                    self.taken -= core.room(page);
-                    self.doomed -= core.room(page);
-                }
-                None => return false,
-            }
+        self.taken + room <= budget || self.free_down_to(core, budget.saturating_sub(room))
+    }
+
+    /// Frees doomed pages until pages take no more than so many bytes; false while visits hold too much.
+    fn free_down_to(&mut self, core: &Core, bytes: u64) -> bool {
+        let sweep = core.arena.sweep();
+        while self.taken > bytes {
+            let freed = self.limbo.iter().position(|&page| sweep.free(page as usize));
+            let Some(page) = freed.and_then(|place| self.limbo.remove(place)) else { return false };
+            self.taken -= core.room(page);
+            self.doomed -= core.room(page);
         }
         true
+    }
+
+    /// Evicts what nobody waits for or is visiting.
+    pub(super) fn forget(&mut self, core: &Core) {
+        while self.doom_one(core) {}
+        self.free_down_to(core, 0);
     }
 
     /// Dooms the next page that was not visited since the hand passed it last; false if all are wanted.
@@ -248,9 +269,4 @@ impl Desk {
         }
         false
     }
-}
-
-/// Keeps the largest sum of memory.
-fn figures_peak(figures: &mut Figures, taken: u64) {
-    figures.most_bytes = figures.most_bytes.max(taken);
 }

@@ -6,8 +6,8 @@
 //! room is needed and no visit can still be reading them (`mmap/arena.rs`). The budget counts the memory of pages that are resident, being
 //! loaded, or doomed.
 //!
-//! A page's checksum is checked whenever it is read, its structure when that is for the first time. What cannot be read, or is damaged, is
-//! told to everyone who asks for it.
+//! What the directory says of a page is read when the page is. A page's checksum is checked whenever it is read, its structure, and its entry in
+//! the directory, when that is for the first time. What cannot be read, or is damaged, is told to everyone who asks for it.
 
 mod desk;
 mod load;
@@ -23,9 +23,10 @@ use std::thread::JoinHandle;
 use std::time::Instant;
 
 use super::Figures;
-use super::mmap::{self, Arena};
-use crate::error::{Error, Result};
-use crate::format::{Flags, Header, PageRecord};
+use super::failure::Failure;
+use super::mmap::{self, Arena, Blank};
+use crate::error::Result;
+use crate::format::{Flags, Header, most_stored};
 use desk::Desk;
 pub(super) use load::read_at;
 
@@ -47,15 +48,12 @@ pub(super) struct Cache {
 struct Core {
     path: PathBuf,
     file: File,
-    records: Box<[PageRecord]>,
-    flags: Flags,
-    materials: u32,
-    source_triangles: u64,
+    header: Header,
     arena: Arena,
     /// Bytes of memory that pages may take.
     budget: AtomicU64,
     /// Which pages were visited since the clock's hand passed them.
-    used: Box<[AtomicBool]>,
+    used: Blank<AtomicBool>,
     /// Whether any page could not be had.
     failing: AtomicBool,
     /// Pages entered that were there.
@@ -65,6 +63,9 @@ struct Core {
     work: Condvar,
     /// Something has come for readers.
     came: Condvar,
+    /// The page, and one more, at which a loader panics.
+    #[cfg(test)]
+    trap: std::sync::atomic::AtomicU32,
 }
 
 /// A page that was asked for. It stays in memory, once it has come, while the ticket lives.
@@ -82,30 +83,24 @@ pub(super) struct Reader<'c> {
 
 impl Cache {
     /// A cache of at most `budget` bytes of pages, which must hold the largest page.
-    pub(super) fn new(
-        path: PathBuf,
-        file: File,
-        header: &Header,
-        records: &[PageRecord],
-        budget: u64,
-    ) -> std::io::Result<Cache> {
-        let arena = Arena::new(records.len(), header.largest_page as usize)?;
+    pub(super) fn new(path: PathBuf, file: File, header: &Header, budget: u64) -> std::io::Result<Cache> {
+        let pages = header.pages as usize;
+        let arena = Arena::new(pages, header.largest_page as usize)?;
         advise_random(&file);
         let core = Arc::new(Core {
             path,
             file,
-            records: records.into(),
-            flags: header.flags,
-            materials: header.materials,
-            source_triangles: header.source_triangles,
+            header: *header,
             arena,
             budget: AtomicU64::new(budget),
-            used: records.iter().map(|_| AtomicBool::new(false)).collect(),
+            used: Blank::new(pages)?,
             failing: AtomicBool::new(false),
             entered: AtomicU64::new(0),
-            desk: Mutex::new(Desk::new(records.len())),
+            desk: Mutex::new(Desk::new()),
             work: Condvar::new(),
             came: Condvar::new(),
+            #[cfg(test)]
+            trap: Default::default(),
         });
         let loader = |_| {
             let core = core.clone();
@@ -165,15 +160,20 @@ impl Cache {
         self.core.work.notify_all();
     }
 
+    /// Evicts what can be.
+    pub(super) fn forget(&self) {
+        self.core.desk().forget(&self.core);
+    }
+
     /// What was read so far.
     pub(super) fn figures(&self) -> Figures {
         let figures = self.core.desk().figures;
-        Figures { total: self.core.records.len() as u64, entered: self.core.entered.load(Ordering::Relaxed), ..figures }
+        Figures { total: self.core.header.pages.into(), entered: self.core.entered.load(Ordering::Relaxed), ..figures }
     }
 
-    /// Reads bytes of the file that are no page's.
-    pub(super) fn read_at(&self, bytes: &mut [u8], offset: u64) -> std::io::Result<()> {
-        read_at(&self.core.file, bytes, offset)
+    /// The file, to read what is no page's.
+    pub(super) fn file(&self) -> &File {
+        &self.core.file
     }
 }
 
@@ -193,9 +193,10 @@ impl Core {
         self.desk.lock().unwrap_or_else(|poison| poison.into_inner())
     }
 
-    /// Memory that a page takes.
+    /// Memory that a page takes; of one that was never there, the most that any does.
     fn room(&self, page: u32) -> u64 {
-        self.arena.room(self.records[page as usize].bytes as usize) as u64
+        let bytes = self.arena.length(page as usize).unwrap_or(self.header.largest_page as usize);
+        self.arena.room(bytes) as u64
     }
 }
 
@@ -216,7 +217,7 @@ impl Ticket<'_> {
             return Ok(());
         }
         let desk = self.core.desk();
-        desk.failed(self.page).map_or(Ok(()), |failure| Err(failure.error(&self.core.path, self.page)))
+        desk.failed(self.page).map_or(Ok(()), |failure| Err(failure.error(&self.core.path, Some(self.page))))
     }
 
     /// More rays need the page.
@@ -239,7 +240,7 @@ impl Reader<'_> {
     /// A page's bytes, if it is there.
     #[inline]
     pub(super) fn bytes(&self, page: usize) -> Option<&[u8]> {
-        let bytes = self.visit.bytes(page, self.core.records.get(page)?.bytes as usize)?;
+        let bytes = self.visit.bytes(page)?;
         let used = &self.core.used[page];
         if !used.load(Ordering::Relaxed) {
             used.store(true, Ordering::Relaxed);
@@ -256,22 +257,11 @@ impl Drop for Reader<'_> {
     }
 }
 
-/// Why a page cannot be had.
-enum Failure {
-    /// The system's reason.
-    Read(std::io::ErrorKind, Option<i32>),
-    Damaged(String),
-}
-
-impl Failure {
-    fn error(&self, path: &std::path::Path, page: u32) -> Error {
-        match self {
-            Failure::Damaged(what) => Error::damaged(path, Some(page), what.clone()),
-            Failure::Read(kind, code) => {
-                let reason = code.map_or_else(|| (*kind).into(), std::io::Error::from_raw_os_error);
-                Error::io(path, "read")(std::io::Error::new(*kind, format!("page {page}: {reason}")))
-            }
-        }
+/// Memory that loaders take beside the cache, which unpack pages: bytes at most.
+pub(super) fn unpacking(header: &Header) -> u64 {
+    match header.flags.has(Flags::PACKED) {
+        true => LOADERS as u64 * most_stored(header.largest_page),
+        false => 0,
     }
 }
 

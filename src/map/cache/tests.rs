@@ -7,7 +7,7 @@ use super::*;
 use crate::error::Kind;
 use crate::format::{PageId, SectionKind};
 use crate::map::sample::{Sample, random};
-use crate::map::{Octree, Read};
+use crate::map::{Octree, Pages, Read};
 
 /// A file of eight pages, and what its pages hold.
 fn sample() -> (tempfile::TempDir, PathBuf, Vec<Vec<u8>>) {
@@ -144,8 +144,8 @@ fn a_file_cut_short_between_two_pages_is_told() {
     let (_folder, path, pages) = sample();
     let octree = budgeted(&path, 1);
     assert!(octree.with_page(PageId(0), |page| page.bytes() == pages[0]).unwrap());
-    fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(octree.records()[3].offset + 100).unwrap();
-    assert!(octree.with_page(PageId(2), |page| page.bytes() == pages[2]).unwrap());
+    let cut = octree.records()[3].offset + 100;
+    fs::OpenOptions::new().write(true).open(&path).unwrap().set_len(cut).unwrap();
     let error = octree.with_page(PageId(3), |_| ()).unwrap_err();
     let said = error.to_string();
     assert!(
@@ -160,12 +160,67 @@ fn a_read_error_names_the_page() {
     let octree = Octree::open(&path).unwrap();
     // The system refuses to read from a file that was opened for writing.
     let file = fs::OpenOptions::new().write(true).open(&path).unwrap();
-    let cache = Cache::new(path.clone(), file, octree.header(), octree.records(), 1 << 20).unwrap();
+    let cache = Cache::new(path.clone(), file, octree.header(), 1 << 20).unwrap();
     let ticket = cache.ask(6, 1);
     cache.wait(std::iter::once(&ticket));
     let error = ticket.check().unwrap_err();
     assert!(error.kind() == Kind::Machine && error.to_string().contains("page 6: "), "{error}");
     assert!(error.to_string().contains("cannot read"), "{error}");
+}
+
+/// A loader that breaks down tells those who wait, and goes on with other pages.
+#[test]
+fn nobody_waits_for_ever_for_a_loader_that_broke_down() {
+    let (_folder, path, pages) = sample();
+    let octree = budgeted(&path, 1);
+    let Pages::Cached(cache) = &octree.pages else { unreachable!() };
+    cache.core.trap.store(2 + 1, Ordering::Relaxed);
+    let error = octree.with_page(PageId(2), |_| ()).unwrap_err().to_string();
+    assert!(error.contains("page 2: checking it failed"), "{error}");
+    for i in [1, 3, 4, 5] {
+        assert!(octree.with_page(PageId(i), |page| page.bytes() == pages[i as usize]).unwrap());
+    }
+}
+
+/// What a packed page says that it is stored as must not make a loader take more memory than there is.
+#[cfg(unix)]
+#[test]
+fn a_packed_page_that_would_take_a_gigabyte_is_refused() {
+    let (_folder, path, _) = sample();
+    let packed = path.with_file_name("packed.oct");
+    pack(&path, &packed);
+    let mut bytes = fs::read(&packed).unwrap();
+    let mut header: Header = bytemuck::pod_read_unaligned(&bytes[..4096]);
+    // The last page, and all behind it, lies a gigabyte further on.
+    let octree = Octree::open(&packed).unwrap();
+    let mut records = octree.records().to_vec();
+    drop(octree);
+    let (top, last) = (header.sections[0].offset, records.len() - 1);
+    let moved = (1u64 << 30) - (top - records[last].offset);
+    records[last].stored_bytes += moved as u32 / 64 * 64;
+    let end = (records[last].offset + u64::from(records[last].stored_bytes)).next_multiple_of(64);
+    let mut tail = bytes.split_off(top as usize);
+    let mut place = header.section(SectionKind::Pages).unwrap().offset - top;
+    for record in &records {
+        tail[place as usize..place as usize + 32].copy_from_slice(bytemuck::bytes_of(record));
+        place += 32;
+    }
+    header.sections.iter_mut().filter(|s| s.kind != 0).for_each(|section| {
+        let begin = (section.offset - top) as usize;
+        section.checksum = crate::format::checksum(&tail[begin..begin + section.bytes as usize]);
+        section.offset += end - top;
+    });
+    header.file_bytes += end - top;
+    header.checksum = crate::format::checksum(&bytemuck::bytes_of(&header)[..4088]);
+    bytes[..4096].copy_from_slice(bytemuck::bytes_of(&header));
+    fs::write(&packed, &bytes).unwrap();
+    let file = fs::OpenOptions::new().write(true).open(&packed).unwrap();
+    file.set_len(end).unwrap();
+    std::os::unix::fs::FileExt::write_all_at(&file, &tail, end).unwrap();
+    let octree = budgeted(&packed, 1);
+    let error = octree.with_page(PageId(last as u32), |_| ()).unwrap_err().to_string();
+    assert!(error.contains("the lengths break a rule"), "{error}");
+    assert!(octree.with_page(PageId(0), |_| ()).is_ok() && octree.verify(crate::event::Monitor::silent()).is_err());
 }
 
 /// Loaders take first what most rays wait for.
@@ -175,7 +230,7 @@ fn what_more_rays_wait_for_comes_first() {
     let octree = Octree::open(&path).unwrap();
     let core = {
         let file = File::open(&path).unwrap();
-        let mut cache = Cache::new(path, file, octree.header(), octree.records(), 1 << 20).unwrap();
+        let mut cache = Cache::new(path, file, octree.header(), 1 << 20).unwrap();
         cache.core.desk().stop = true;
         cache.core.work.notify_all();
         cache.loaders.drain(..).for_each(|loader| loader.join().unwrap());
@@ -184,10 +239,9 @@ fn what_more_rays_wait_for_comes_first() {
     let mut desk = core.desk();
     let mut order = Vec::new();
     assert!(desk.ask(&core, 1, 10) && desk.ask(&core, 2, 30) && desk.ask(&core, 3, 20) && !desk.ask(&core, 1, 15));
-    while let desk::Task::Load { page, known } = desk.next(&core) {
-        assert!(!known);
-        core.arena.fill(page as usize).unwrap().finish();
-        desk.loaded(&core, page);
+    while let desk::Task::Load(page) = desk.next(&core) {
+        core.arena.fill(page as usize).unwrap().finish(64);
+        desk.loaded(&core, page, desk::Loaded { stored: 64, again: false });
         order.push(page);
         if order.len() == 1 {
             // Younger, with a few rays more than page 3, which has waited longer.

@@ -10,12 +10,16 @@
 //!
 //! Why no reader ever sees a page change: opening a visit stores the epoch in a slot, then fences, and only then reads states. Dooming
 //! makes the state another one, then fences, then takes the epoch and counts it up. By the order of the two fences a reader
-//! that still saw the page resident has its slot seen by whoever frees it, with an epoch no later than the page's, so it is waited for.
+//! that still saw the page resident has its slot seen by whoever frees it, with an epoch no later than the page's, so it is waited for. Whoever frees
+//! first takes the epoch, then fences, and only then looks at the slots ([`Sweep`]): pages that were doomed since are as late as that epoch, and left alone.
 
 use std::io;
-use std::sync::atomic::{AtomicU8, AtomicU64, AtomicUsize, Ordering, fence};
+use std::marker::PhantomData;
+use std::sync::atomic::{AtomicU8, AtomicU32, AtomicU64, AtomicUsize, Ordering, fence};
 
 use memmap2::{MmapOptions, MmapRaw};
+
+use super::Blank;
 
 /// States of a page.
 const ABSENT: u8 = 0;
@@ -33,9 +37,11 @@ pub(crate) struct Arena {
     machine: usize,
     /// Bytes from one page to the next; a multiple of that.
     stride: usize,
-    states: Box<[AtomicU8]>,
+    states: Blank<AtomicU8>,
+    /// Bytes of each page since it was filled first; 0 before.
+    lengths: Blank<AtomicU32>,
     /// The epoch at which each page was doomed last.
-    dates: Box<[AtomicU64]>,
+    dates: Blank<AtomicU64>,
     /// From 1 on.
     epoch: AtomicU64,
     /// The epochs of open visits; 0 = none.
@@ -56,8 +62,9 @@ impl Arena {
             memory,
             machine,
             stride,
-            states: (0..pages).map(|_| AtomicU8::new(ABSENT)).collect(),
-            dates: (0..pages).map(|_| AtomicU64::new(0)).collect(),
+            states: Blank::new(pages)?,
+            lengths: Blank::new(pages)?,
+            dates: Blank::new(pages)?,
             epoch: AtomicU64::new(1),
             slots: (0..SLOTS).map(|_| AtomicU64::new(0)).collect(),
         })
@@ -66,6 +73,12 @@ impl Arena {
     /// The most memory that a page of so many bytes takes.
     pub(crate) fn room(&self, bytes: usize) -> usize {
         bytes.next_multiple_of(self.machine).min(self.stride)
+    }
+
+    /// Bytes of a page, if it was ever there.
+    pub(crate) fn length(&self, page: usize) -> Option<usize> {
+        let length = self.lengths.get(page)?.load(Ordering::Relaxed) as usize;
+        (length != 0).then_some(length)
     }
 
     /// Opens a visit: pages it is given stay as they are until it ends.
@@ -77,7 +90,7 @@ impl Arena {
             let epoch = self.epoch.load(Ordering::SeqCst);
             if self.slots[slot].compare_exchange(0, epoch, Ordering::SeqCst, Ordering::Relaxed).is_ok() {
                 fence(Ordering::SeqCst);
-                return Visit { arena: self, slot };
+                return Visit { arena: self, slot, here: PhantomData };
             }
             if i == SLOTS - 1 {
                 std::thread::yield_now();
@@ -88,12 +101,12 @@ impl Arena {
 
     /// Whether a page is there to be visited.
     pub(crate) fn is_resident(&self, page: usize) -> bool {
-        self.states[page].load(Ordering::Acquire) == RESIDENT
+        self.states.get(page).is_some_and(|state| state.load(Ordering::Acquire) == RESIDENT)
     }
 
     /// Begins to fill an absent page; `None` if it is not absent.
     pub(crate) fn fill(&self, page: usize) -> Option<Filling<'_>> {
-        self.change(page, ABSENT, BUSY).then(|| Filling { arena: self, page, filled: false })
+        self.change(page, ABSENT, BUSY).then(|| Filling { arena: self, page, filled: None })
     }
 
     /// Gives a resident page out no longer; false if it is not resident.
@@ -113,26 +126,18 @@ impl Arena {
         self.change(page, DOOMED, RESIDENT)
     }
 
-    /// Frees a doomed page and its memory; false if it is not doomed, or if a visit is open that may have seen it.
-    pub(crate) fn free(&self, page: usize) -> bool {
-        if !self.change(page, DOOMED, BUSY) {
-            return false;
-        }
+    /// Looks for what visits are open now, to free pages that none of them can be reading.
+    pub(crate) fn sweep(&self) -> Sweep<'_> {
+        let now = self.epoch.load(Ordering::SeqCst);
         fence(Ordering::SeqCst);
-        let date = self.dates[page].load(Ordering::Relaxed);
-        let open = |slot: &AtomicU64| (1..=date).contains(&slot.load(Ordering::Acquire));
-        if self.slots.iter().any(open) {
-            self.states[page].store(DOOMED, Ordering::Release);
-            return false;
-        }
-        self.discard(page);
-        self.states[page].store(ABSENT, Ordering::Release);
-        true
+        let open = self.slots.iter().map(|slot| slot.load(Ordering::Acquire)).filter(|&epoch| epoch != 0);
+        Sweep { arena: self, before: open.min().unwrap_or(now).min(now) }
     }
 
     /// Changes a page's state if it is as expected.
     fn change(&self, page: usize, from: u8, to: u8) -> bool {
-        self.states[page].compare_exchange(from, to, Ordering::SeqCst, Ordering::Acquire).is_ok()
+        let state = self.states.get(page);
+        state.is_some_and(|state| state.compare_exchange(from, to, Ordering::SeqCst, Ordering::Acquire).is_ok())
     }
 
     /// Gives a page's memory back to the system. Only whoever made it busy calls this, and nobody has references into it.
@@ -151,20 +156,46 @@ impl Arena {
     }
 }
 
-/// A reader of pages. While it lives, what it was given stays.
+/// What can be freed: pages that were doomed before any visit was opened that is open.
+pub(crate) struct Sweep<'a> {
+    arena: &'a Arena,
+    /// The epoch of the oldest open visit, or the one at which this was made.
+    before: u64,
+}
+
+impl Sweep<'_> {
+    /// Frees a doomed page and its memory; false if it is not doomed, or if a visit may be open that has seen it.
+    pub(crate) fn free(&self, page: usize) -> bool {
+        let Sweep { arena, before } = self;
+        if !arena.change(page, DOOMED, BUSY) {
+            return false;
+        }
+        if arena.dates[page].load(Ordering::Relaxed) >= *before {
+            arena.states[page].store(DOOMED, Ordering::Release);
+            return false;
+        }
+        arena.discard(page);
+        arena.states[page].store(ABSENT, Ordering::Release);
+        true
+    }
+}
+
+/// A reader of pages. While it lives, what it was given stays. It stays on its thread, which is counted as one that visits.
 pub(crate) struct Visit<'a> {
     arena: &'a Arena,
     slot: usize,
+    here: PhantomData<*const ()>,
 }
 
 impl Visit<'_> {
-    /// The first `length` bytes of a page, if it is resident.
+    /// The bytes of a page, if it is resident.
     #[inline]
-    pub(crate) fn bytes(&self, page: usize, length: usize) -> Option<&[u8]> {
+    pub(crate) fn bytes(&self, page: usize) -> Option<&[u8]> {
         let arena = self.arena;
-        if arena.states.get(page)?.load(Ordering::Acquire) != RESIDENT || length > arena.stride {
+        if arena.states.get(page)?.load(Ordering::Acquire) != RESIDENT {
             return None;
         }
+        let length = (arena.lengths[page].load(Ordering::Relaxed) as usize).min(arena.stride);
         // SAFETY: the range lies in our mapping (`stride` bytes a page), which lives as long as the arena. The page was seen resident by an
         // open visit, so it was filled before (acquire) and nobody writes to it or gives its memory back until this visit has ended
         // (see the module), which the borrow of `self` outlives. Anonymous memory is plain bytes, zero where nothing was written.
@@ -182,7 +213,8 @@ impl Drop for Visit<'_> {
 pub(crate) struct Filling<'a> {
     arena: &'a Arena,
     page: usize,
-    filled: bool,
+    /// Its bytes, once it is whole.
+    filled: Option<u32>,
 }
 
 impl Filling<'_> {
@@ -196,18 +228,20 @@ impl Filling<'_> {
         }
     }
 
-    /// The page is there: gives it out to visits.
-    pub(crate) fn finish(mut self) {
-        self.filled = true;
+    /// The page is there, its first `length` bytes (1 at least): gives it out to visits.
+    pub(crate) fn finish(mut self, length: u32) {
+        self.filled = Some(length.max(1));
     }
 }
 
 impl Drop for Filling<'_> {
     fn drop(&mut self) {
-        if !self.filled {
-            self.arena.discard(self.page);
+        match self.filled {
+            Some(length) => self.arena.lengths[self.page].store(length, Ordering::Relaxed),
+            None => self.arena.discard(self.page),
         }
-        self.arena.states[self.page].store(if self.filled { RESIDENT } else { ABSENT }, Ordering::Release);
+        let state = if self.filled.is_some() { RESIDENT } else { ABSENT };
+        self.arena.states[self.page].store(state, Ordering::Release);
     }
 }
 
@@ -236,7 +270,7 @@ mod tests {
         let mut filling = arena.fill(page).unwrap();
         assert!(filling.bytes(5000).iter().all(|&b| b == 0), "memory comes back as zeros");
         filling.bytes(5000).fill(value);
-        filling.finish();
+        filling.finish(5000);
     }
 
     #[test]
@@ -244,30 +278,43 @@ mod tests {
         let arena = Arena::new(3, 5000).unwrap();
         assert_eq!(arena.room(5000), 8192);
         fill(&arena, 1, 7);
-        assert!(arena.fill(1).is_none() && !arena.free(1) && !arena.revive(1));
+        assert!(arena.fill(1).is_none() && !arena.sweep().free(1) && !arena.revive(1));
+        assert!(arena.length(1) == Some(5000) && arena.length(0).is_none() && arena.length(3).is_none());
         let before = arena.visit();
-        let seen = before.bytes(1, 5000).unwrap();
-        assert!(before.bytes(0, 1).is_none() && before.bytes(3, 1).is_none() && before.bytes(1, 9000).is_none());
+        let seen = before.bytes(1).unwrap();
+        assert!(before.bytes(0).is_none() && before.bytes(3).is_none() && seen.len() == 5000);
         assert!(arena.doom(1) && !arena.doom(1));
         let after = arena.visit();
-        assert!(after.bytes(1, 1).is_none() && before.bytes(1, 1).is_none());
-        assert!(!arena.free(1) && seen.iter().all(|&b| b == 7));
+        assert!(after.bytes(1).is_none() && before.bytes(1).is_none());
+        assert!(!arena.sweep().free(1) && seen.iter().all(|&b| b == 7));
         drop(before);
         // The later visit cannot have seen it.
-        assert!(arena.free(1) && !arena.free(1));
+        assert!(arena.sweep().free(1) && !arena.sweep().free(1));
         fill(&arena, 1, 8);
-        assert_eq!(after.bytes(1, 2), Some(&[8, 8][..]));
+        assert!(after.bytes(1).is_some_and(|bytes| bytes.len() == 5000 && bytes[0] == 8));
+    }
+
+    /// Who looked for visits before a page was doomed knows nothing of those that have seen it.
+    #[test]
+    fn an_old_sweep_frees_nothing_new() {
+        let arena = Arena::new(1, 100).unwrap();
+        arena.fill(0).unwrap().finish(100);
+        let early = arena.sweep();
+        let visit = arena.visit();
+        assert!(visit.bytes(0).is_some() && arena.doom(0) && !early.free(0));
+        drop(visit);
+        assert!(!early.free(0) && arena.sweep().free(0));
     }
 
     #[test]
     fn a_page_revived_is_dated_anew() {
         let arena = Arena::new(1, 100).unwrap();
-        arena.fill(0).unwrap().finish();
+        arena.fill(0).unwrap().finish(100);
         assert!(arena.doom(0) && arena.revive(0));
         let visit = arena.visit();
-        assert!(visit.bytes(0, 100).is_some() && arena.doom(0) && !arena.free(0));
+        assert!(visit.bytes(0).is_some() && arena.doom(0) && !arena.sweep().free(0));
         drop(visit);
-        assert!(arena.free(0));
+        assert!(arena.sweep().free(0));
     }
 
     #[test]
@@ -292,7 +339,7 @@ mod tests {
                     while !stop.load(Ordering::Relaxed) {
                         page = (page + 1) % PAGES;
                         let visit = arena.visit();
-                        let Some(bytes) = visit.bytes(page, 4096) else { continue };
+                        let Some(bytes) = visit.bytes(page) else { continue };
                         seen.fetch_add(1, Ordering::Relaxed);
                         let value = bytes[0];
                         assert!(value != 0 && std::hint::black_box(bytes).iter().all(|&b| b == value));
@@ -305,10 +352,10 @@ mod tests {
                     if let Some(mut filling) = arena.fill(page) {
                         value = value % 250 + 1;
                         filling.bytes(4096).fill(value);
-                        filling.finish();
+                        filling.finish(4096);
                     } else {
                         arena.doom(page);
-                        freed += u32::from(arena.free(page));
+                        freed += u32::from(arena.sweep().free(page));
                         std::thread::yield_now();
                     }
                 }
