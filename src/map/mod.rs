@@ -125,6 +125,11 @@ impl Octree {
         Ok(least_cache(&header))
     }
 
+    /// What [`Octree::least_cache`] says of this file.
+    pub fn least(&self) -> u64 {
+        least_cache(&self.header)
+    }
+
     /// The header of a file, read by itself. Errors: as [`Octree::open`].
     pub fn header_of(path: &Path) -> Result<Header> {
         head(path).map(|x| x.1)
@@ -164,7 +169,9 @@ impl Octree {
     fn read(path: &Path, file: File, header: Header, budget: u64) -> Result<Octree> {
         let least = least_cache(&header);
         if budget < least {
-            let what = format!("its largest page needs {least} bytes of memory, but pages may take {budget} in all");
+            let what = format!(
+                "its largest page needs {least} bytes of memory, but pages may take {budget} in all; allow more (--memory)"
+            );
             return Err(Error::Input { file: path.to_owned(), what });
         }
         let begin = header.sections[0].offset;

@@ -11,6 +11,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::SystemTime;
 
+use super::ReadOptions;
 use crate::error::{Error, Result};
 
 /// Bytes of the buffer between the file and a decoder.
@@ -55,16 +56,19 @@ pub(super) struct Input {
     size: Option<u64>,
     /// When it was changed last, where that is known.
     changed: Option<SystemTime>,
+    /// See [`ReadOptions::zstd_window_log`].
+    window_log: u32,
 }
 
 impl Input {
     /// Standard input.
-    pub fn stdin() -> Input {
-        Input { path: "-".into(), promised: None, file: None, size: None, changed: None }
+    pub fn stdin(options: &ReadOptions) -> Input {
+        let window_log = options.zstd_window_log;
+        Input { path: "-".into(), promised: None, file: None, size: None, changed: None, window_log }
     }
 
     /// A file, which must exist.
-    pub fn file(path: &Path, promised: Option<Codec>) -> Result<Input> {
+    pub fn file(path: &Path, promised: Option<Codec>, options: &ReadOptions) -> Result<Input> {
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         let data = file.metadata().map_err(Error::io(path, "open"))?;
         if data.is_dir() {
@@ -73,7 +77,8 @@ impl Input {
         }
         let size = data.is_file().then_some(data.len());
         let changed = data.modified().ok().filter(|_| data.is_file());
-        Ok(Input { path: path.to_owned(), promised, file: Some(file), size, changed })
+        let window_log = options.zstd_window_log;
+        Ok(Input { path: path.to_owned(), promised, file: Some(file), size, changed, window_log })
     }
 
     /// The name to show in messages.
@@ -126,8 +131,9 @@ impl Input {
         };
         let taken = Arc::new(AtomicU64::new(0));
         let counted = Counted { raw, taken: taken.clone() };
-        let (text, codec) = self.decoder(counted).map_err(|error| read_error(self.error_path(), None, error))??;
-        Ok(Stream { text, codec, taken, file: self.error_path() })
+        let failed = |error| read_error(self.error_path(), None, self.window_log, error);
+        let (text, codec) = self.decoder(counted).map_err(failed)??;
+        Ok(Stream { text, codec, taken, file: self.error_path(), window_log: self.window_log })
     }
 
     /// Puts the decoder that the first bytes ask for before `raw`.
@@ -147,7 +153,9 @@ impl Input {
                 Box::new(flate2::bufread::MultiGzDecoder::new(BufReader::with_capacity(BUFFER, whole)))
             }
             Some(Codec::Zstd) => {
-                Box::new(zstd::stream::read::Decoder::with_buffer(BufReader::with_capacity(BUFFER, whole))?)
+                let mut decoder = zstd::stream::read::Decoder::with_buffer(BufReader::with_capacity(BUFFER, whole))?;
+                decoder.window_log_max(self.window_log)?;
+                Box::new(decoder)
             }
         };
         Ok(Ok((text, found)))
@@ -160,13 +168,14 @@ pub(super) struct Stream {
     codec: Option<Codec>,
     taken: Arc<AtomicU64>,
     file: PathBuf,
+    window_log: u32,
 }
 
 impl Stream {
     /// Appends at most `limit` bytes to `buffer`; fewer only at the end. Returns how many.
     pub fn fill(&mut self, buffer: &mut Vec<u8>, limit: usize) -> Result<usize> {
         let mut part = self.text.by_ref().take(limit as u64);
-        part.read_to_end(buffer).map_err(|error| read_error(self.file.clone(), self.codec, error))
+        part.read_to_end(buffer).map_err(|error| read_error(self.file.clone(), self.codec, self.window_log, error))
     }
 
     /// Whether the text comes out of a decoder.
@@ -191,13 +200,23 @@ impl Stream {
             codec: None,
             taken: Arc::default(),
             file: "test.obj".into(),
+            window_log: 27,
         }
     }
 }
 
 /// Says what a failed read means: the operating system's errors carry a number, a decoder's do not.
-fn read_error(file: PathBuf, codec: Option<Codec>, error: io::Error) -> Error {
+fn read_error(file: PathBuf, codec: Option<Codec>, window_log: u32, error: io::Error) -> Error {
     match codec {
+        // zstd's own words; it has no other sign of it.
+        Some(Codec::Zstd) if error.to_string().contains("too much memory") => {
+            let most = (1u64 << window_log) >> 20;
+            let what = format!(
+                "the zstd data refers back to more than {most} MiB, which do not fit in the memory allowed; allow more, or \
+                 decompress it first (zstd -d --long=31)"
+            );
+            Error::Input { file, what }
+        }
         Some(codec) if error.raw_os_error().is_none() => {
             let what = if error.kind() == io::ErrorKind::UnexpectedEof {
                 format!("the {} data ends early; the file was cut short, fetch it again", codec.name())

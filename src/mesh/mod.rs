@@ -31,6 +31,9 @@ pub struct ReadOptions {
     pub longest_line: usize,
     /// Most bytes that the materials of an OBJ file may take, names and all; more are an error. Each takes some 200.
     pub material_memory: u64,
+    /// Most bytes of text that zstd data may refer back to, as a power of two; more are an error. What `zstd` makes by itself
+    /// refers to 8 MiB (2^23) at most.
+    pub zstd_window_log: u32,
 }
 
 impl Default for ReadOptions {
@@ -41,6 +44,7 @@ impl Default for ReadOptions {
             block: 8 << 20,
             longest_line: 1 << 30,
             material_memory: u64::MAX,
+            zstd_window_log: 27,
         }
     }
 }
@@ -50,11 +54,13 @@ impl ReadOptions {
     /// 64 KiB a block, up to 8 MiB).
     ///
     /// For t threads there are at most t + 4 blocks of text at a time, and the results of t + 1 of them, which may be
-    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up. A line may take half of the memory.
+    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up. A line may take half of the memory,
+    /// and so may what zstd refers back to, 8 MiB in any case (RFC 8878 asks every decoder for these).
     pub fn within(self, memory: u64, threads: usize) -> Self {
         let blocks = 4 * threads as u64 + 8;
         let block = (memory / blocks).clamp(64 << 10, 8 << 20) as usize;
-        ReadOptions { block, longest_line: (memory / 2).max(1 << 20) as usize, ..self }
+        let zstd_window_log = (memory / 2).max(1).ilog2().clamp(23, 31);
+        ReadOptions { block, longest_line: (memory / 2).max(1 << 20) as usize, zstd_window_log, ..self }
     }
 }
 
@@ -65,10 +71,10 @@ impl ReadOptions {
 /// [`Error::Io`] "open" where the file cannot be opened.
 pub fn open(path: &Path, options: &ReadOptions) -> Result<Box<dyn TriangleSource>> {
     if path == Path::new("-") {
-        return Ok(Box::new(obj::ObjSource::new(Input::stdin(), *options)));
+        return Ok(Box::new(obj::ObjSource::new(Input::stdin(options), *options)));
     }
     let (form, codec) = form_of(path)?;
-    let input = Input::file(path, codec)?;
+    let input = Input::file(path, codec, options)?;
     Ok(match form {
         Form::Obj => Box::new(obj::ObjSource::new(input, *options)),
         Form::Ply => Box::new(ply::PlySource::new(input, *options)),

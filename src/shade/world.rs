@@ -1,5 +1,6 @@
 //! The scene made ready to be traced and shaded.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -25,6 +26,9 @@ const TREE_FROM: usize = 16;
 /// contact, too far to share a coordinate.
 const FLOOR_GAP: f64 = 1.0 / 65_536.0;
 
+/// Most bytes of all textures of a scene.
+const TEXTURE_BYTES: u64 = 4 << 30;
+
 /// A scene, ready for rays. Shared by all threads.
 #[derive(Debug)]
 pub struct World {
@@ -49,7 +53,7 @@ pub struct Mesh {
     /// Most error of surrogates, in pixels; `None`: exact.
     pub(super) pixels: Option<f64>,
     /// Textures by material record.
-    textures: Vec<Option<Texture>>,
+    textures: Vec<Option<Arc<Texture>>>,
 }
 
 impl World {
@@ -58,6 +62,7 @@ impl World {
     /// A mesh's textures are opened only if an instance takes its materials; one that cannot be read is warned of and
     /// left out. Fails if the linear tracer (`oct off`) meets a damaged page, or if numbers of meshes do not agree.
     pub fn new(scene: Scene, meshes: Vec<Arc<Octree>>, monitor: Monitor<'_>) -> Result<World> {
+        let mut room = TEXTURE_BYTES;
         let with_textures = |i: usize| scene.instances.iter().any(|x| x.mesh == i && x.mtl);
         let mesh = |(i, octree): (usize, Arc<Octree>)| -> Result<Mesh> {
             let tracer: Box<dyn Tracer> = if scene.octree {
@@ -65,7 +70,10 @@ impl World {
             } else {
                 Box::new(LinearTracer::new(&octree)?)
             };
-            let textures = if with_textures(i) { textures(&octree, scene.tonemap, monitor) } else { Vec::new() };
+            let textures = match with_textures(i) {
+                true => textures(&octree, scene.tonemap, &mut room, monitor),
+                false => Vec::new(),
+            };
             Ok(Mesh { tracer, octree: Some(octree), pixels: None, textures })
         };
         let meshes = meshes.into_iter().enumerate().map(mesh).collect::<Result<Vec<_>>>()?;
@@ -366,7 +374,7 @@ impl Mesh {
     pub(super) fn material(&self, found: &Found) -> Result<Option<(&MaterialRecord, Option<&Texture>)>> {
         let (Some(octree), Some(number)) = (&self.octree, self.material_number(found)?) else { return Ok(None) };
         let record = octree.materials().get(number as usize);
-        Ok(record.map(|r| (r, self.textures.get(number as usize).and_then(Option::as_ref))))
+        Ok(record.map(|r| (r, self.textures.get(number as usize).and_then(Option::as_deref))))
     }
 }
 
@@ -376,25 +384,30 @@ impl std::fmt::Debug for Mesh {
     }
 }
 
-/// The textures of a mesh's materials, as far as they can be read; the rest is warned of, once a file.
-fn textures(octree: &Octree, tonemap: ToneMap, monitor: Monitor<'_>) -> Vec<Option<Texture>> {
+/// The textures of a mesh's materials, as far as they can be read and there is `room` for them, in bytes; the rest is warned of, once a
+/// file.
+fn textures(octree: &Octree, tonemap: ToneMap, room: &mut u64, monitor: Monitor<'_>) -> Vec<Option<Arc<Texture>>> {
     if !octree.flags().has(Flags::TEXCOORDS) {
         return Vec::new();
     }
     let folder = octree.path().parent().unwrap_or(Path::new(""));
-    let mut known: Vec<(String, Option<Texture>)> = Vec::new();
+    let mut known: HashMap<&str, Option<Arc<Texture>>> = HashMap::new();
+    let mut read = |name: &str| {
+        let path = folder.join(name);
+        let texture = Texture::open(&path, tonemap).and_then(|texture| {
+            *room = room.checked_sub(texture.bytes()).ok_or_else(|| {
+                let most = TEXTURE_BYTES >> 20;
+                let what =
+                    format!("with it the textures of the scene would take more than {most} MiB; make them smaller");
+                Error::Input { file: path, what }
+            })?;
+            Ok(Arc::new(texture))
+        });
+        texture.map_err(|e| monitor.warn(format!("{e}; going on without this texture"))).ok()
+    };
     let mut open = |record: &MaterialRecord| {
         let name = octree.string(record.map_kd);
-        if name.is_empty() {
-            return None;
-        }
-        if let Some((_, texture)) = known.iter().find(|(n, _)| n == name) {
-            return texture.clone();
-        }
-        let texture = Texture::open(&folder.join(name), tonemap);
-        let texture = texture.map_err(|e| monitor.warn(format!("{e}; going on without this texture"))).ok();
-        known.push((name.to_owned(), texture.clone()));
-        texture
+        if name.is_empty() { None } else { known.entry(name).or_insert_with(|| read(name)).clone() }
     };
     octree.materials().iter().map(&mut open).collect()
 }
