@@ -54,12 +54,12 @@ impl ReadOptions {
     /// 64 KiB a block, up to 8 MiB).
     ///
     /// For t threads there are at most t + 4 blocks of text at a time, and the results of t + 1 of them, which may be
-    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up. A line may take half of the memory,
-    /// and so may what zstd refers back to, 8 MiB in any case (RFC 8878 asks every decoder for these).
+    /// three times as large as their text (`f 1/1/1 2/2/2 3/3/3`); allocators round up. A line may take half of the memory;
+    /// what zstd refers back to may take three quarters, and 8 MiB in any case (RFC 8878 asks every decoder for these).
     pub fn within(self, memory: u64, threads: usize) -> Self {
         let blocks = 4 * threads as u64 + 8;
         let block = (memory / blocks).clamp(64 << 10, 8 << 20) as usize;
-        let zstd_window_log = (memory / 2).max(1).ilog2().clamp(23, 31);
+        let zstd_window_log = (memory / 4 * 3).max(1).ilog2().clamp(23, 31);
         ReadOptions { block, longest_line: (memory / 2).max(1 << 20) as usize, zstd_window_log, ..self }
     }
 }
