@@ -8,7 +8,7 @@ use super::parse::Problem;
 use crate::error::{Diagnostic, Severity};
 
 /// What to do about a mistake where there is nothing better to say.
-const SKIP: &str = "correct the line, or give --lenient to skip what is wrong";
+pub(super) const SKIP: &str = "correct the line, or give --lenient to skip what is wrong";
 /// Bytes of a line's text that are shown before and after the marked word, if the line is longer than three of these.
 const AROUND: usize = 80;
 
