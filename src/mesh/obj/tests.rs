@@ -443,3 +443,10 @@ fn progress_ends_at_the_size_of_the_file() {
     source.read(&mut Mesh::default(), Monitor::new(&note, &stop)).unwrap();
     assert_eq!(last.into_inner().unwrap(), (size, Some(size)));
 }
+
+#[test]
+fn zstd_may_refer_back_as_far_as_there_is_memory() {
+    let log = |memory: u64| ReadOptions::default().within(memory, 2).zstd_window_log;
+    // What a build may give a reader within 64 MiB, 1 GiB (`zstd --long` refers back to 2^27) and 32 GiB.
+    assert_eq!([10 << 20, 250 << 20, 8 << 30].map(log), [23, 27, 31]);
+}
