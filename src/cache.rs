@@ -5,7 +5,8 @@
 //! absolute path. Beside the octree file lies `….oct.key`, a small JSON file: it says of which source the octree was built
 //! (size, time, a hash of its first and last 64 KiB, how it was read, size and time of the material libraries named in the
 //! first 64 KiB), and carries the checksum of the octree's header. An octree file without such a key, or with another
-//! checksum, is not this cache's and is never overwritten.
+//! checksum, is not this cache's and is never overwritten. The key is written before the octree is built, then without a checksum, and again
+//! after it: a process that is killed in between leaves an octree that the next one may replace.
 //!
 //! What it does not see: a source changed in its middle with size and time kept, textures (they are read anew for each
 //! picture), and material libraries named only further down the source.
@@ -25,6 +26,8 @@ use crate::format::{HEADER_BYTES, VERSION};
 use crate::map::Octree;
 use crate::mesh::{self, ReadOptions};
 
+/// Most bytes of a key file; a larger one is none of this cache's.
+const LARGEST_KEY: u64 = 16 << 20;
 /// Bytes at either end of the source that are hashed.
 const END: u64 = 64 << 10;
 
@@ -122,7 +125,10 @@ impl Source {
         let mut file = File::open(mesh).map_err(Error::io(mesh, "open"))?;
         let metadata = file.metadata().map_err(Error::io(mesh, "open"))?;
         if !metadata.is_file() {
-            return Err(Error::Input { file: mesh.to_owned(), what: "is not a file".into() });
+            return Err(Error::Input {
+                file: mesh.to_owned(),
+                what: "is not an ordinary file; name a mesh file".into(),
+            });
         }
         let (head, tail) = ends(&mut file, metadata.len()).map_err(Error::io(mesh, "read"))?;
         let mut hash = Xxh3::new();
@@ -193,10 +199,16 @@ impl Place {
         Place { octree: name(".cache.oct"), key: name(".cache.oct.key") }
     }
 
+    /// The key, if there is one of this cache's, whatever octree it was for.
+    fn key(&self) -> Option<Key> {
+        let mut bytes = Vec::new();
+        File::open(&self.key).ok()?.take(LARGEST_KEY).read_to_end(&mut bytes).ok()?;
+        serde_json::from_slice(&bytes).ok().filter(|key: &Key| key.key_of == KEY_OF)
+    }
+
     /// The key, if the octree file is there and is the one the key was written for.
     fn own_key(&self) -> Option<Key> {
-        let key: Key = serde_json::from_slice(&fs::read(&self.key).ok()?).ok()?;
-        (key.key_of == KEY_OF && Some(&key.header) == header_checksum(&self.octree).as_ref()).then_some(key)
+        self.key().filter(|key| Some(&key.header) == header_checksum(&self.octree).as_ref())
     }
 
     /// The octree file, if it was built from this source. One with a damaged header is as good as none: it is
@@ -209,13 +221,9 @@ impl Place {
     /// Whether nothing stands here but what this cache wrote.
     fn is_free(&self) -> bool {
         let absent = |path: &Path| fs::symlink_metadata(path).is_err();
-        (absent(&self.octree) && (absent(&self.key) || self.has_key())) || self.own_key().is_some()
-    }
-
-    /// Whether the key file is one of this cache's, whatever octree it was for.
-    fn has_key(&self) -> bool {
-        let key = fs::read(&self.key).ok().and_then(|bytes| serde_json::from_slice::<Key>(&bytes).ok());
-        key.is_some_and(|key| key.key_of == KEY_OF)
+        let key = self.key();
+        let unfinished = key.as_ref().is_some_and(|key| key.header.is_empty());
+        (absent(&self.octree) && (absent(&self.key) || key.is_some())) || unfinished || self.own_key().is_some()
     }
 
     /// Makes the folder if need be; whether files can be made in it.
@@ -224,25 +232,38 @@ impl Place {
         fs::create_dir_all(folder).is_ok() && tempfile::tempfile_in(folder).is_ok()
     }
 
-    /// Builds the octree file, then writes its key.
+    /// Builds the octree file and writes its key, before and after.
     fn build(&self, mesh: &Path, read: &ReadOptions, memory: u64, source: Source, monitor: Monitor<'_>) -> Result<()> {
         let name = Some(mesh.to_owned());
         let options = BuildOptions { origin: read.origin, name, memory, ..BuildOptions::default() };
         let material_memory = options.material_memory().min(read.material_memory);
         let read = ReadOptions { material_memory, ..*read };
         let read = read.within(options.reading_memory(), rayon::current_num_threads());
-        build(mesh::open(mesh, &read)?.as_mut(), &self.octree, &options, monitor)?;
-        let header = header_checksum(&self.octree).unwrap_or_default();
-        let key = Key { key_of: KEY_OF.into(), format: VERSION, source, header };
-        self.write_key(&key).map_err(Error::io(&self.key, "write"))
+        let mut key = Key { key_of: KEY_OF.into(), format: VERSION, source, header: String::new() };
+        self.write_key(&key)?;
+        let built =
+            mesh::open(mesh, &read).and_then(|mut source| build(source.as_mut(), &self.octree, &options, monitor));
+        if let Err(error) = built {
+            if !self.octree.exists() {
+                let _ = fs::remove_file(&self.key);
+            }
+            return Err(error);
+        }
+        key.header = header_checksum(&self.octree).unwrap_or_default();
+        self.write_key(&key)
     }
 
-    fn write_key(&self, key: &Key) -> std::io::Result<()> {
-        let mut file = tempfile::NamedTempFile::new_in(folder(&self.key))?;
-        serde_json::to_writer_pretty(&mut file, key)?;
-        file.write_all(b"\n")?;
-        file.persist(&self.key)?;
-        Ok(())
+    fn write_key(&self, key: &Key) -> Result<()> {
+        let write = || {
+            // A name that says whose it is, should the process be killed here.
+            let mut file =
+                tempfile::Builder::new().prefix(".octrace-").suffix(".tmp").tempfile_in(folder(&self.key))?;
+            serde_json::to_writer_pretty(&mut file, key)?;
+            file.write_all(b"\n")?;
+            file.persist(&self.key)?;
+            Ok(())
+        };
+        write().map_err(Error::io(&self.key, "write"))
     }
 }
 
@@ -304,6 +325,23 @@ mod tests {
         fs::write(&octree, vec![7; 5000]).unwrap();
         assert!(open(&mesh, &user).unwrap().path().starts_with(&user));
         assert_eq!(fs::read(&octree).unwrap(), vec![7; 5000]);
+    }
+
+    #[test]
+    fn what_a_killed_process_left_is_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let (mesh, user) = (folder.path().join("a.obj"), folder.path().join("user"));
+        fs::write(&mesh, TRIANGLE).unwrap();
+        let octree = open(&mesh, &user).unwrap().path().to_owned();
+        // Killed when the octree was renamed and its checksum was not in the key yet.
+        let place = Place::beside(&mesh);
+        let key = place.own_key().unwrap();
+        place.write_key(&Key { header: String::new(), ..key }).unwrap();
+        assert!(place.own_key().is_none());
+        fs::write(&mesh, format!("{TRIANGLE}f 1 2 4\n")).unwrap();
+        let again = open(&mesh, &user).unwrap();
+        assert_eq!((again.path(), again.header().triangles), (&*octree, 2));
+        assert!(place.own_key().is_some() && !user.exists());
     }
 
     #[test]

@@ -11,7 +11,8 @@ mod support;
 
 use std::os::unix::process::ExitStatusExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Command, Output, Stdio};
+use std::time::{Duration, Instant};
 
 use support::*;
 
@@ -199,6 +200,164 @@ fn a_picture_that_cannot_be_written_leaves_what_was_there() {
         }
     }
     assert!(["write", "sync", "rename", "open"].iter().all(|kind| failed.contains_key(*kind)), "{failed:?}");
+}
+
+/// How often each tool is killed at random moments: 6 and 4, or what OCTRACE_KILLS says and a fifth of that.
+fn kills() -> [u64; 2] {
+    let given = std::env::var("OCTRACE_KILLS").ok().map(|text| text.parse().expect("OCTRACE_KILLS is a number"));
+    given.map_or([6, 4], |kills: u64| [kills, (kills / 5).max(1)])
+}
+
+/// Runs a tool and kills it after a share of the time that it takes; false if it had ended before.
+fn killed_after(lab: &Lab, line: &[&str], time: Duration) -> bool {
+    let mut child = lab.command(line[0], &line[1..]).stderr(Stdio::null()).spawn().unwrap();
+    std::thread::sleep(time);
+    let killed = child.try_wait().unwrap().is_none();
+    child.kill().unwrap();
+    child.wait().unwrap();
+    killed
+}
+
+/// Numbers from 0 to 1 that follow no pattern.
+fn share(number: u64) -> f64 {
+    let bits = number.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    ((bits ^ bits >> 29).wrapping_mul(0xbf58_476d_1ce4_e5b9) >> 40) as f64 / f64::from(1 << 24)
+}
+
+#[test]
+fn a_build_killed_at_random_moments_leaves_nothing_that_looks_whole() {
+    let lab = Lab::new();
+    lab.write("sheet.obj", sheet(420));
+    let begin = Instant::now();
+    lab.done(BUILD[0], &BUILD[1..]);
+    let (whole, mut took) = (lab.read("out.oct"), begin.elapsed());
+    let (mut killed, mut resumed) = (0, 0);
+    for number in 0..5 * kills()[0] {
+        if killed == kills()[0] {
+            break;
+        }
+        // Every other time the output is there already; what the last kill left lies there too.
+        match number % 2 {
+            0 => lab.write("out.oct", OLD),
+            _ => std::fs::remove_file(lab.path("out.oct")).unwrap(),
+        }
+        let resume: &[&str] = if number % 3 == 2 { &["--resume"] } else { &[] };
+        match killed_after(&lab, &[&BUILD, resume].concat(), took.mul_f64(share(number))) {
+            true => killed += 1,
+            // It is faster than it was.
+            false => took = took.mul_f64(0.9),
+        }
+        if lab.files().contains(&"out.oct".to_owned()) {
+            let left = lab.read("out.oct");
+            assert!(left == OLD || left == whole, "kill {number}: something else has the output's name");
+        }
+        let named = |name: &String| ["out.oct", "sheet.obj"].contains(&&**name) || name.starts_with(".out.oct");
+        assert!(lab.files().iter().all(named), "kill {number}: {:?}", lab.files());
+        if number % 4 == 3 || !lab.files().contains(&"out.oct".to_owned()) {
+            lab.done("octbuild", &[&BUILD[1..], &["--resume"]].concat());
+            assert!(lab.read("out.oct") == whole, "kill {number}: other bytes after --resume");
+            assert_eq!(lab.files(), ["out.oct", "sheet.obj"], "kill {number}");
+            resumed += 1;
+        }
+    }
+    println!("octbuild: {killed} kills at random moments of {:.2} s, {resumed} builds taken up", took.as_secs_f64());
+    assert!(killed == kills()[0] && resumed > 0, "only {killed} were still at work when they were to be killed");
+}
+
+#[test]
+fn a_drawing_killed_at_random_moments_leaves_nothing_that_looks_whole() {
+    let lab = Lab::new();
+    lab.write("sheet.obj", sheet(60));
+    // The cache of an OBJ is written by the drawing, too.
+    let cached = "sheet.obj.cache.oct";
+    let line = ["octrender", "sheet.obj", "-o", "out.png", "-q", "--size", "500x400", "--threads", "2"];
+    let begin = Instant::now();
+    lab.done(line[0], &line[1..]);
+    let (whole, mut took) = (lab.read("out.png"), begin.elapsed());
+    let octree = lab.read(cached);
+    let mut killed = 0;
+    for number in 0..5 * kills()[1] {
+        if killed == kills()[1] {
+            break;
+        }
+        lab.write("out.png", OLD);
+        if number % 2 == 0 {
+            std::fs::remove_file(lab.path(cached)).unwrap();
+        }
+        match killed_after(&lab, &line, took.mul_f64(share(number))) {
+            true => killed += 1,
+            false => took = took.mul_f64(0.9),
+        }
+        let left = lab.read("out.png");
+        assert!(left == OLD || left == whole, "kill {number}: something else has the picture's name");
+        for name in lab.files().iter().filter(|name| !["out.png", "sheet.obj"].contains(&&***name)) {
+            let named =
+                [".octrace-", ".sheet.obj.cache.oct", "sheet.obj.cache.oct.key"].iter().any(|x| name.starts_with(x));
+            assert!(named || name == cached && lab.read(cached) == octree, "kill {number}: {name}");
+        }
+        lab.done(line[0], &line[1..]);
+        assert!(lab.read("out.png") == whole && lab.read(cached) == octree, "kill {number}");
+    }
+    println!("octrender: {killed} kills at random moments of {:.2} s", took.as_secs_f64());
+    assert!(killed == kills()[1], "only {killed} were still at work when they were to be killed");
+}
+
+#[test]
+fn a_folder_that_cannot_be_written_is_told() {
+    let Some(faults) = Faults::new() else { return };
+    let lab = &faults.lab;
+    lab.write("sheet.obj", sheet(40));
+    lab.done("octbuild", &["sheet.obj", "-o", "sheet.oct", "-q"]);
+    // As a read-only file system has it, which the superuser meets as well.
+    for (tool, line, named) in [
+        ("octbuild", &["sheet.obj", "-o", "out.oct"][..], "out.oct"),
+        ("octrender", &["sheet.oct", "-o", "out.png", "--size", "8x8"], "out.png"),
+        ("octinfo", &["sheet.oct", "--extract", "all", "-o", "out.obj"], "out.obj"),
+        ("octbuild", &["sheet.obj", "-o", "out.oct", "--stats", "out.json"], "out."),
+    ] {
+        let output = faults.run(&[&[tool], line].concat(), &format!("open:1:{}", libc::EROFS));
+        let text = told(&output);
+        assert_eq!(output.status.code(), Some(4), "{tool}: {text}");
+        assert!(text.contains(named) && text.to_lowercase().contains("read-only"), "{tool}: {text}");
+        assert_eq!(lab.files(), ["sheet.obj", "sheet.oct"], "{tool}");
+    }
+    // The cache of an OBJ goes elsewhere then, or it is told that there is no place.
+    let line = ["octrender", "sheet.obj", "-o", "out.png", "--size", "8x8"];
+    let output = faults.run(&line, &format!("open:1:{}", libc::EROFS));
+    let text = told(&output);
+    assert!(matches!(output.status.code(), Some(2 | 4)) && text.contains("sheet.obj"), "{text}");
+}
+
+#[test]
+fn closed_and_broken_outputs_are_survived() {
+    let lab = Lab::new();
+    lab.write("sheet.obj", sheet(40));
+    lab.done("octbuild", &["sheet.obj", "-o", "sheet.oct", "-q"]);
+    lab.write("rays", [0u8; 320_000]);
+    let whole = lab.read("sheet.oct");
+    for line in [
+        "octbuild sheet.obj -o again.oct",
+        "octbuild sheet.obj -o again.oct --stats -",
+        "octrender sheet.oct -o again.png --size 9x9",
+        "octrender sheet.oct -o - --size 300x300",
+        "octtrace sheet.oct",
+        "octinfo sheet.oct",
+        "octinfo sheet.oct --json",
+        "octinfo sheet.oct --extract all -o -",
+    ] {
+        let (tool, arguments) = line.split_once(' ').unwrap();
+        let program = lab.command(tool, &[]).get_program().to_str().unwrap().to_owned();
+        // Nobody reads; nothing is open; nothing but standard input is open.
+        for outputs in ["| true", ">&-", ">&- 2>&-"] {
+            let script = format!("set -o pipefail; {program} {arguments} < rays {outputs}");
+            let output = Command::new("bash").args(["-c", &script]).current_dir(lab.path("")).output().unwrap();
+            assert_eq!(output.status.code(), Some(0), "{line} {outputs}: {}", told(&output));
+            assert!(!told(&output).contains("panicked"), "{line} {outputs}: {}", told(&output));
+        }
+    }
+    // What was opened for other things was not taken for standard output.
+    assert!(lab.read("again.oct") == whole && lab.read("sheet.oct") == whole);
+    assert!(image::open(lab.path("again.png")).is_ok());
 }
 
 #[test]

@@ -46,6 +46,79 @@ fn octree_files_that_lie() {
     assert!(taken > 0 && refused > taken, "{taken} taken, {refused} refused");
 }
 
+/// A small file of several pages.
+fn small(folder: &Path) -> Vec<u8> {
+    use octrace::build::{BuildOptions, build};
+    let (obj, oct) = (folder.join("small.obj"), folder.join("small.oct"));
+    std::fs::write(&obj, fuzz::seeds::sheet(5)).unwrap();
+    let mut source = octrace::mesh::open(&obj, &octrace::mesh::ReadOptions::default()).unwrap();
+    let options = BuildOptions { brick: Some(20), ..BuildOptions::default() };
+    build(source.as_mut(), &oct, &options, octrace::Monitor::silent()).unwrap();
+    std::fs::read(&oct).unwrap()
+}
+
+/// One in how many places is tried: 23, or all of them with OCTRACE_ALL=1.
+fn step() -> usize {
+    if std::env::var_os("OCTRACE_ALL").is_some() { 1 } else { 23 }
+}
+
+#[test]
+fn every_field_may_lie() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = small(folder.path());
+    let places = fuzz::oct::fields(&whole);
+    assert!(places.len() > 500, "{} fields", places.len());
+    let (mut inputs, mut passed, mut taken) = (0, 0, 0);
+    for (i, &(at, size)) in places.iter().enumerate().filter(|(i, _)| i % step() == 0) {
+        for value in fuzz::oct::values(&whole, at, size) {
+            let mut bytes = whole.clone();
+            bytes[at..at + size].copy_from_slice(&value.to_le_bytes()[..size]);
+            // The length of the file is among what is tried: it stays as it was made.
+            fuzz::oct::repair(&mut bytes);
+            inputs += 1;
+            passed += u32::from(fuzz::oct::passes(&bytes));
+            taken += u32::from((targets::named("oct").run)(&bytes, folder.path()) == Outcome::Taken);
+        }
+        assert!(i == 0 || inputs > 0);
+    }
+    println!(
+        "{} of {} fields, {inputs} files: header and checksums of {passed} pass, {taken} are taken",
+        places.len().div_ceil(step()),
+        places.len()
+    );
+    assert!(2 * passed > inputs && taken < inputs / 2, "{passed} of {inputs} passed, {taken} were taken");
+}
+
+#[test]
+fn every_byte_and_every_length() {
+    let folder = tempfile::tempdir().unwrap();
+    let whole = small(folder.path());
+    let run = |bytes: &[u8]| (targets::named("oct").run)(bytes, folder.path());
+    assert_eq!(run(&whole), Outcome::Taken);
+    let mut inputs = 0;
+    for at in (0..whole.len()).step_by(step()) {
+        let mut bytes = whole.clone();
+        bytes[at] ^= 1 << (at / step() % 8);
+        assert_eq!(run(&bytes), Outcome::Refused, "byte {at} does not matter");
+        // With checksums that are right nothing is expected but an answer.
+        fuzz::oct::repair(&mut bytes);
+        run(&bytes);
+        inputs += 2;
+    }
+    for border in fuzz::oct::borders(&whole) {
+        for length in [border - 1, border, border + 1] {
+            if (1..whole.len()).contains(&length) {
+                assert_eq!(run(&whole[..length]), Outcome::Refused, "cut to {length}");
+                let mut bytes = whole[..length].to_vec();
+                fuzz::oct::shorten(&mut bytes);
+                assert_eq!(run(&bytes), Outcome::Refused, "cut to {length}, checksums right");
+                inputs += 2;
+            }
+        }
+    }
+    println!("{inputs} files of {} bytes", whole.len());
+}
+
 #[test]
 fn meshes_and_scenes() {
     for target in TARGETS.iter().filter(|t| t.name != "oct") {

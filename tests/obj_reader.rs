@@ -160,7 +160,7 @@ fn standard_input_is_read_plain_and_compressed() {
     assert!(said(&zstd::encode_all(&text[..], 1).unwrap()).ends_with(&whole));
     let wrong = "<stdin>:2:3: vertex 4 does not exist: the file has only 3 vertices: `f 4 1 2`";
     let forward = format!("f 1 2 3\nf 4 1 2\n{}v 0 0 0\nv 0 0 0\nv 0 0 0\nf 1 9 3\n", "# comment\n".repeat(20));
-    assert!(said(forward.as_bytes()).ends_with(wrong), "{}", said(forward.as_bytes()));
+    assert!(said(forward.as_bytes()).contains(wrong), "{}", said(forward.as_bytes()));
 }
 
 /// How a random mesh is printed; each number picks among the ways where there are several.

@@ -262,7 +262,10 @@ impl<'a> Faces<'a> {
     /// Writes the pending block and begins the next.
     pub fn flush(&mut self) -> Result<()> {
         if self.ids > u64::from(u32::MAX) {
-            return Err(Error::Option(format!("the mesh has more than {} triangles, which is the limit", u32::MAX)));
+            return Err(Error::Option(format!(
+                "the mesh has more than {} triangles, which is the limit; divide it",
+                u32::MAX
+            )));
         }
         if self.pending_faces == 0 {
             return Ok(());

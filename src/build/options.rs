@@ -92,10 +92,10 @@ impl BuildOptions {
     pub(super) fn validate(&self) -> Result<()> {
         let wrong = |what: String| Err(Error::Option(what));
         if !(1..=LEAF_MAX as u8).contains(&self.leaf) {
-            return wrong(format!("leaf limit {} is not in 1..{LEAF_MAX}", self.leaf));
+            return wrong(format!("leaf limit {}: it is from 1 to {LEAF_MAX}", self.leaf));
         }
         if u32::from(self.depth) > morton::BITS {
-            return wrong(format!("depth limit {} is not in 0..{}", self.depth, morton::BITS));
+            return wrong(format!("depth limit {}: it is from 0 to {}", self.depth, morton::BITS));
         }
         if self.cell == 0 || self.brick == Some(0) {
             return wrong("cell and brick limits are at least 1".into());

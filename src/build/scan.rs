@@ -139,7 +139,10 @@ fn append<const N: usize>(to: &mut Table<'_, N>, items: &[[f32; N]], monitor: Mo
     monitor.check()?;
     // The last number is taken: it means "none".
     if to.len() + items.len() as u64 > u64::from(u32::MAX) {
-        return Err(Error::Option(format!("the mesh has more than {} {what}, which is the limit", u32::MAX)));
+        return Err(Error::Option(format!(
+            "the mesh has more than {} {what}, which is the limit; divide it",
+            u32::MAX
+        )));
     }
     to.append(items)
 }

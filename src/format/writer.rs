@@ -142,7 +142,9 @@ impl OctWriter {
         self.align(PageRecord::alignment(header.references, packed.is_some()))?;
         let offset = self.position;
         if u32::try_from(offset / 64 + 1).is_err() {
-            return Err(self.misuse("the file passes 256 GiB, the most that version 1 can hold".into()));
+            return Err(
+                self.misuse("the file passes 256 GiB, the most that version 1 can hold; divide the mesh".into())
+            );
         }
         self.write(stored)?;
         let checksum = checksum(stored);

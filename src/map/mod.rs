@@ -128,6 +128,11 @@ impl Octree {
         Ok(least_cache(&header))
     }
 
+    /// What [`Octree::least_cache`] says of this file.
+    pub fn least(&self) -> u64 {
+        least_cache(&self.header)
+    }
+
     /// The header of a file, read by itself. Errors: as [`Octree::open`].
     pub fn header_of(path: &Path) -> Result<Header> {
         head(path).map(|x| x.1)
@@ -150,7 +155,7 @@ impl Octree {
             Read::Budgeted { cache } if cache < least_cache(&header) => {
                 let least = least_cache(&header);
                 return refused(format!(
-                    "its largest page needs {least} bytes of memory, but pages may take {cache} in all"
+                    "its largest page needs {least} bytes of memory, but pages may take {cache} in all; allow more (--memory)"
                 ));
             }
             Read::Budgeted { cache } => {

@@ -106,7 +106,7 @@ impl Reader<'_> {
 
     fn binary(&mut self, bytes: &mut Bytes<'_>) -> Result<()> {
         let Some(head) = bytes.take(HEAD)? else {
-            return Err(self.wrong("this is no STL file: it is shorter than the head of one".into()));
+            return Err(self.wrong("this is no STL file: it is shorter than the head of one; fetch it again".into()));
         };
         let count = u32::from_le_bytes(head[80..].try_into().unwrap_or_default());
         for triangle in 0..count {
@@ -136,7 +136,7 @@ impl Reader<'_> {
                     let position = vertex(words, self.options.origin);
                     let Some(position) = position.or(self.options.lenient.then_some([f32::NAN; 3])) else {
                         let line: String = String::from_utf8_lossy(line).chars().take(80).collect();
-                        return Err(self.wrong(format!("line {line_number}: not three numbers: `{}`", line.trim())));
+                        return Err(self.wrong(format!("line {line_number}: not three numbers: `{}`; correct the line, or give --lenient to drop such triangles", line.trim())));
                     };
                     self.positions.push(position);
                     size += 1;

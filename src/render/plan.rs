@@ -3,7 +3,6 @@
 //! What is left of the bound beside the film is shared between waves of rays and pages. Large waves let rays wait while others go
 //! on, so that threads hardly ever wait for a page, and each page serves more rays while it is there; but what waves take, pages cannot have.
 
-use super::sampling;
 use super::tiles::{self, Settings};
 use crate::error::Result;
 use crate::scene::Scene;
@@ -43,8 +42,7 @@ impl Plan {
         pages: u64,
     ) -> Result<Result<Plan, u64>> {
         let [width, height] = tiles::region(scene, settings)?;
-        let samples = settings.samples.unwrap_or(scene.samples);
-        sampling::side(samples).ok_or_else(|| tiles::not_a_square(samples))?;
+        let samples = tiles::samples_side(scene, settings)?.pow(2);
         let pixels = u64::from(width) * u64::from(height);
         // Pictures of data are made and written while pages are there.
         let film = pixels * if aovs > 0 { 12 + WRITING + 12 * aovs as u64 } else { 12 };

@@ -11,11 +11,9 @@ use super::film::Film;
 use super::{hilbert, sampling};
 use crate::error::{Error, Result};
 use crate::event::Monitor;
-use crate::scene::Scene;
+use crate::scene::{MOST_DEPTH, MOST_PIXELS, MOST_SAMPLES, MOST_SIDE, Scene};
 use crate::shade::{DetailCounts, RayCounts, Wave, World, WorldRay};
 
-/// Most pixels on a side.
-const MOST_SIDE: u32 = 65_536;
 /// Pixels of a tile come in blocks of this side, and in each along a Z curve (Morton 1966): 16 or 64 rays in a row are neighbours.
 const BLOCK: u32 = 8;
 
@@ -183,12 +181,26 @@ pub fn region(scene: &Scene, settings: &Settings) -> Result<[u32; 2]> {
         );
         return Err(Error::Option(what));
     }
-    Ok([x1 - x0, y1 - y0])
+    let [width, height] = [x1 - x0, y1 - y0];
+    let pixels = u64::from(width) * u64::from(height);
+    if pixels > MOST_PIXELS {
+        let what = format!(
+            "{width} x {height} are {pixels} pixels, and a picture has at most {MOST_PIXELS}: draw it in parts (--crop)"
+        );
+        return Err(Error::Option(what));
+    }
+    Ok([width, height])
 }
 
-/// The error for a number of samples that makes no grid.
-pub(super) fn not_a_square(samples: u32) -> Error {
-    Error::Option(format!("{samples} samples a pixel: the number must be a square: 1, 4, 9, 16, ..."))
+/// The side of the grid of samples in a pixel.
+pub(super) fn samples_side(scene: &Scene, settings: &Settings) -> Result<u32> {
+    let samples = settings.samples.unwrap_or(scene.samples);
+    let side = sampling::side(samples).filter(|_| samples <= MOST_SAMPLES);
+    side.ok_or_else(|| {
+        let what =
+            format!("{samples} samples a pixel: the number must be a square (1, 4, 9, 16, ...) up to {MOST_SAMPLES}");
+        Error::Option(what)
+    })
 }
 
 impl<'w> Job<'w> {
@@ -196,11 +208,13 @@ impl<'w> Job<'w> {
         let scene = world.scene();
         let size @ [_, rows] = settings.size.unwrap_or(scene.size);
         let [width, height] = region(scene, settings)?;
-        let samples = settings.samples.unwrap_or(scene.samples);
-        let k = sampling::side(samples).ok_or_else(|| not_a_square(samples))?;
+        let k = samples_side(scene, settings)?;
         let corner = settings.crop.map_or([0; 2], |[x0, y0, ..]| [x0, y0]);
         let wave = settings.wave.max(1);
         let depth = settings.depth.unwrap_or(scene.depth);
+        if depth > MOST_DEPTH {
+            return Err(Error::Option(format!("{depth} bounces are too many: at most {MOST_DEPTH}")));
+        }
         let eye = Eye::new(world, size)?;
         Ok(Job { world, eye, rows, corner, width, height, depth, k, wave })
     }

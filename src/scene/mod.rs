@@ -23,6 +23,15 @@ use glam::{DAffine3, DVec3};
 
 pub use load::LoadOptions;
 
+/// Longest side of a picture in pixels, whether a scene or an option asks for it; so with the limits below.
+pub const MOST_SIDE: u32 = 1 << 16;
+/// Most pixels of a picture.
+pub const MOST_PIXELS: u64 = 1 << 31;
+/// Most samples a pixel.
+pub const MOST_SAMPLES: u32 = 1 << 16;
+/// Most bounces.
+pub const MOST_DEPTH: u32 = 10_000;
+
 /// Linear RGB, 0..1 for reflectances.
 pub type Color = DVec3;
 

@@ -1,6 +1,8 @@
 //! What a world's pictures depend on, as one number: machines that share a picture compare it.
 
+use std::collections::HashSet;
 use std::fmt::Write;
+use std::sync::Arc;
 
 use bytemuck::cast_slice;
 use xxhash_rust::xxh3::Xxh3;
@@ -38,9 +40,14 @@ impl World {
                 Some(octree) => hash.0.update(&octree.header().checksum.to_le_bytes()),
                 None => hash.0.update(b"none"),
             }
-            for texture in mesh.textures() {
-                let _ = write!(hash, "{texture:?}");
-                texture.iter().for_each(|texture| hash.0.update(cast_slice(texture.texels())));
+            // Materials share textures; each counts once, by the material that has it first.
+            let mut known = HashSet::new();
+            for (i, texture) in mesh.textures().iter().enumerate() {
+                let Some(texture) = texture.as_ref().filter(|texture| known.insert(Arc::as_ptr(texture))) else {
+                    continue;
+                };
+                let _ = write!(hash, "{i} {texture:?}");
+                hash.0.update(cast_slice(texture.texels()));
             }
         }
         hash.0.digest()

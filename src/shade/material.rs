@@ -1,5 +1,8 @@
 //! Materials at the moment of shading: the scene's, overlaid by the mesh's own (MTL) where asked for.
 
+use std::collections::HashMap;
+use std::sync::Arc;
+
 use glam::DVec3;
 
 use super::texture::Texture;
@@ -138,7 +141,7 @@ pub struct Mixed {
 
 impl Mixed {
     /// Of materials with their textures; `None` if there are none.
-    pub fn of(records: &[MaterialRecord], textures: &[Option<Texture>]) -> Option<Mixed> {
+    pub fn of(records: &[MaterialRecord], textures: &[Option<Arc<Texture>>]) -> Option<Mixed> {
         if records.is_empty() {
             return None;
         }
@@ -157,7 +160,12 @@ impl Mixed {
             given: bits.into_iter().filter(|&bit| 2 * count(bit) > records.len()).sum(),
             ..MaterialRecord::default()
         };
-        let texel = |i: usize| textures.get(i).and_then(Option::as_ref).map_or(Color::ONE, Texture::mean);
+        // Materials share textures; each is looked at once.
+        let mut known: HashMap<*const Texture, Color> = HashMap::new();
+        let texel = |i: usize| match textures.get(i) {
+            Some(Some(texture)) => *known.entry(Arc::as_ptr(texture)).or_insert_with(|| texture.mean()),
+            _ => Color::ONE,
+        };
         let tint = (0..records.len()).map(texel).sum::<Color>() / records.len() as f64;
         Some(Mixed { record, tint })
     }
@@ -203,13 +211,13 @@ mod tests {
         let own =
             MaterialRecord { ka: [0.5; 3], kd, ks: [0.75; 3], ns: 9.0, illum: 2, given: all, ..Default::default() };
         let color = DVec3::from_array(kd.map(f64::from));
-        let stand_in = |records: &[MaterialRecord], textures: &[Option<Texture>]| {
+        let stand_in = |records: &[MaterialRecord], textures: &[Option<Arc<Texture>>]| {
             scene.standing_for(&Mixed::of(records, textures).unwrap(), color)
         };
         assert_eq!(stand_in(&[own; 3], &[]), scene.overlaid(&own, None, None));
         let map = || Texture::new(1, 1, vec![[0, 255, 51]], crate::scene::ToneMap::None);
         let painted = scene.overlaid(&own, Some(&map()), Some([0.5, 0.5]));
-        let one = stand_in(&[own], &[Some(map())]);
+        let one = stand_in(&[own], &[Some(Arc::new(map()))]);
         assert!((one.diffuse - painted.diffuse).length() < 1e-6 && (one.ambient - painted.ambient).length() < 1e-6);
         // What few give, the scene does.
         let plain = MaterialRecord { kd, given: given::KD, ..Default::default() };

@@ -7,14 +7,16 @@
 use std::path::Path;
 
 use glam::DVec3;
-use image::ImageReader;
+use image::{ImageDecoder, ImageReader};
 
 use crate::error::{Error, Result};
 use crate::scene::ToneMap;
 
 /// Most pixels on a side.
 const SIDE: u32 = 32_768;
-/// Most bytes the decoder may use.
+/// Most pixels.
+const PIXELS: u64 = 1 << 28;
+/// Most bytes of pixels as the file has them, and most that the decoder may use beside them.
 const BYTES: u64 = 1 << 30;
 
 /// A picture wrapped over the unit square of texture coordinates.
@@ -31,17 +33,27 @@ pub struct Texture {
 impl Texture {
     /// Reads a picture file.
     pub fn open(path: &Path, tonemap: ToneMap) -> Result<Texture> {
-        let mut reader = ImageReader::open(path).map_err(Error::io(path, "open"))?;
+        let wrong = |what: String| Error::Input { file: path.to_owned(), what: format!("texture: {what}") };
+        let reader = ImageReader::open(path).map_err(Error::io(path, "open"))?;
+        let mut reader = reader.with_guessed_format().map_err(Error::io(path, "read"))?;
         let mut limits = image::Limits::default();
-        (limits.max_image_width, limits.max_image_height, limits.max_alloc) = (Some(SIDE), Some(SIDE), Some(BYTES));
+        limits.max_alloc = Some(BYTES);
         reader.limits(limits);
-        let wrong = |e: image::ImageError| Error::Input { file: path.to_owned(), what: format!("texture: {e}") };
-        let reader = reader.with_guessed_format().map_err(Error::io(path, "read"))?;
-        let picture = reader.decode().map_err(wrong)?.into_rgb8();
-        let (width, height) = (picture.width() as usize, picture.height() as usize);
-        if width == 0 || height == 0 {
-            return Err(Error::Input { file: path.to_owned(), what: "texture: it has no pixels".into() });
+        // Some decoders end what they say with a line break.
+        let undecodable = |e: image::ImageError| wrong(e.to_string().trim_end().to_owned());
+        let decoder = reader.into_decoder().map_err(undecodable)?;
+        let ((width, height), bytes) = (decoder.dimensions(), decoder.total_bytes());
+        if width.max(height) > SIDE || u64::from(width) * u64::from(height) > PIXELS || bytes > BYTES {
+            return Err(wrong(format!(
+                "{width} x {height} pixels ({bytes} bytes) are too many: at most {SIDE} on a side, {PIXELS} in all and {BYTES} \
+                 bytes; make it smaller"
+            )));
         }
+        if width == 0 || height == 0 {
+            return Err(wrong("it has no pixels".into()));
+        }
+        let picture = image::DynamicImage::from_decoder(decoder).map_err(undecodable)?.into_rgb8();
+        let (width, height) = (width as usize, height as usize);
         let texels = picture.pixels().map(|p| p.0).collect();
         Ok(Texture::new(width, height, texels, tonemap))
     }
@@ -71,6 +83,11 @@ impl Texture {
         };
         let of_row = |y: usize| places(self.width).map(|x| texel((x, y))).sum::<DVec3>();
         places(self.height).map(of_row).sum::<DVec3>() / (places(self.width).len() * places(self.height).len()) as f64
+    }
+
+    /// Bytes of memory that it takes.
+    pub fn bytes(&self) -> u64 {
+        3 * self.texels.len() as u64
     }
 
     /// The colour at (u, v), linear; black where a coordinate is not finite.

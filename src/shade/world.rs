@@ -1,5 +1,6 @@
 //! The scene made ready to be traced and shaded.
 
+use std::collections::HashMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -24,6 +25,9 @@ const TREE_FROM: usize = 16;
 /// How far below everything the automatic floor lies, in parts of the greatest extent (2^-16): near enough to look like
 /// contact, too far to share a coordinate.
 const FLOOR_GAP: f64 = 1.0 / 65_536.0;
+
+/// Most bytes of all textures of a scene.
+const TEXTURE_BYTES: u64 = 4 << 30;
 
 /// A scene, ready for rays. Shared by all threads.
 #[derive(Debug)]
@@ -51,7 +55,7 @@ pub struct Mesh {
     /// What its surrogates look like, if it has materials of its own; only with level of detail.
     pub(super) mixed: Option<Mixed>,
     /// Textures by material record.
-    textures: Vec<Option<Texture>>,
+    textures: Vec<Option<Arc<Texture>>>,
 }
 
 impl World {
@@ -60,6 +64,7 @@ impl World {
     /// A mesh's textures are opened only if an instance takes its materials; one that cannot be read is warned of and
     /// left out. Fails if the linear tracer (`oct off`) meets a damaged page, or if numbers of meshes do not agree.
     pub fn new(scene: Scene, meshes: Vec<Arc<Octree>>, monitor: Monitor<'_>) -> Result<World> {
+        let mut room = TEXTURE_BYTES;
         let with_textures = |i: usize| scene.instances.iter().any(|x| x.mesh == i && x.mtl);
         let mesh = |(i, octree): (usize, Arc<Octree>)| -> Result<Mesh> {
             let tracer: Box<dyn Tracer> = if scene.octree {
@@ -67,7 +72,10 @@ impl World {
             } else {
                 Box::new(LinearTracer::new(&octree)?)
             };
-            let textures = if with_textures(i) { textures(&octree, scene.tonemap, monitor) } else { Vec::new() };
+            let textures = match with_textures(i) {
+                true => textures(&octree, scene.tonemap, &mut room, monitor),
+                false => Vec::new(),
+            };
             Ok(Mesh { tracer, octree: Some(octree), pixels: None, mixed: None, textures })
         };
         let meshes = meshes.into_iter().enumerate().map(mesh).collect::<Result<Vec<_>>>()?;
@@ -291,7 +299,7 @@ impl Mesh {
     }
 
     /// Its textures by material record.
-    pub(super) fn textures(&self) -> &[Option<Texture>] {
+    pub(super) fn textures(&self) -> &[Option<Arc<Texture>>] {
         &self.textures
     }
 
@@ -379,7 +387,7 @@ impl Mesh {
     pub(super) fn material(&self, found: &Found) -> Result<Option<(&MaterialRecord, Option<&Texture>)>> {
         let (Some(octree), Some(number)) = (&self.octree, self.material_number(found)?) else { return Ok(None) };
         let record = octree.materials().get(number as usize);
-        Ok(record.map(|r| (r, self.textures.get(number as usize).and_then(Option::as_ref))))
+        Ok(record.map(|r| (r, self.textures.get(number as usize).and_then(Option::as_deref))))
     }
 }
 
@@ -389,27 +397,31 @@ impl std::fmt::Debug for Mesh {
     }
 }
 
-/// The textures of a mesh's materials, as far as they can be read; the rest is warned of, once a file.
-fn textures(octree: &Octree, tonemap: ToneMap, monitor: Monitor<'_>) -> Vec<Option<Texture>> {
+/// The textures of a mesh's materials, as far as they can be read and there is `room` for them, in bytes; the rest is warned of, once a
+/// file.
+fn textures(octree: &Octree, tonemap: ToneMap, room: &mut u64, monitor: Monitor<'_>) -> Vec<Option<Arc<Texture>>> {
     if !octree.flags().has(Flags::TEXCOORDS) {
         return Vec::new();
     }
     let folder = octree.path().parent().unwrap_or(Path::new(""));
-    let mut known: Vec<(String, Option<Texture>)> = Vec::new();
-    let mut open = |record: &MaterialRecord| {
-        let name = octree.string(record.map_kd);
-        if name.is_empty() {
-            return None;
-        }
-        if let Some((_, texture)) = known.iter().find(|(n, _)| n == name) {
-            return texture.clone();
-        }
+    let mut known: HashMap<&str, Option<Arc<Texture>>> = HashMap::new();
+    let mut read = |name: &str| {
         let path = folder.join(name);
         monitor.send(Event::File(path.clone()));
-        let texture = Texture::open(&path, tonemap);
-        let texture = texture.map_err(|e| monitor.warn(format!("{e}; going on without this texture"))).ok();
-        known.push((name.to_owned(), texture.clone()));
-        texture
+        let texture = Texture::open(&path, tonemap).and_then(|texture| {
+            *room = room.checked_sub(texture.bytes()).ok_or_else(|| {
+                let most = TEXTURE_BYTES >> 20;
+                let what =
+                    format!("with it the textures of the scene would take more than {most} MiB; make them smaller");
+                Error::Input { file: path, what }
+            })?;
+            Ok(Arc::new(texture))
+        });
+        texture.map_err(|e| monitor.warn(format!("{e}; going on without this texture"))).ok()
+    };
+    let mut open = |record: &MaterialRecord| {
+        let name = octree.string(record.map_kd);
+        if name.is_empty() { None } else { known.entry(name).or_insert_with(|| read(name)).clone() }
     };
     octree.materials().iter().map(&mut open).collect()
 }

@@ -4,9 +4,9 @@
 //! They run in child processes: one that dies, hangs for ten seconds or takes more memory than it may is told, and the rest goes on behind it.
 
 #[path = "mod.rs"]
+#[allow(dead_code)]
 mod fuzz;
 
-use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::{Command, ExitCode, Stdio};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -28,7 +28,7 @@ struct Args {
     /// Inputs in all, shared out among the targets: half of them octree files
     #[arg(long, default_value_t = 100_000)]
     inputs: u64,
-    /// Only this target: obj, mtl, ply, stl, scene, oct or rays
+    /// Only this target: obj, mtl, ply, stl, archive, texture, scene, oct or rays
     #[arg(long)]
     target: Option<String>,
     /// Number of the first input
@@ -46,6 +46,9 @@ struct Args {
     /// One input, given as a file, to the target
     #[arg(long)]
     file: Option<PathBuf>,
+    /// Write the inputs into this folder, a folder a target, and do nothing else with them
+    #[arg(long)]
+    seeds: Option<PathBuf>,
     #[arg(long, hide = true)]
     child: bool,
 }
@@ -62,7 +65,24 @@ fn main() -> ExitCode {
         println!("{:?}", (target.run)(&std::fs::read(file).unwrap(), folder.path()));
         return ExitCode::SUCCESS;
     }
+    if let Some(folder) = &args.seeds {
+        write_seeds(&args, folder);
+        return ExitCode::SUCCESS;
+    }
     parent(&args)
+}
+
+/// Writes inputs for others to begin with.
+fn write_seeds(args: &Args, folder: &Path) {
+    let scratch = tempfile::tempdir().unwrap();
+    let seeds = Seeds::new(scratch.path());
+    for target in TARGETS.iter().filter(|t| args.target.as_deref().is_none_or(|name| name == t.name)) {
+        let place = folder.join(target.name);
+        std::fs::create_dir_all(&place).unwrap();
+        for number in args.first..args.first + args.inputs {
+            std::fs::write(place.join(number.to_string()), seeds.input(target.name, number)).unwrap();
+        }
+    }
 }
 
 /// The share of each target in a hundred inputs.
@@ -70,8 +90,8 @@ fn share(name: &str) -> u64 {
     match name {
         "oct" => 50,
         "obj" => 15,
-        "scene" => 15,
-        _ => 5,
+        "scene" => 11,
+        _ => 4,
     }
 }
 
@@ -106,7 +126,9 @@ fn parent(args: &Args) -> ExitCode {
     workers.into_iter().for_each(|w| w.join().unwrap());
     let tally = tally.lock().unwrap();
     for (name, counts) in &tally.counts {
-        println!("{name}: {} inputs, {} taken, {} refused", counts[0] + counts[1], counts[0], counts[1]);
+        let [taken, refused, right] = counts;
+        print!("{name}: {} inputs, {taken} taken, {refused} refused", taken + refused);
+        println!("{}", if name == "oct" { format!("; header and checksums of {right} pass") } else { String::new() });
     }
     let inputs: u64 = tally.counts.values().map(|c| c[0] + c[1]).sum();
     println!("{inputs} inputs in {:.0} s: {} failures", begin.elapsed().as_secs_f64(), tally.failures);
@@ -115,8 +137,8 @@ fn parent(args: &Args) -> ExitCode {
 
 #[derive(Default)]
 struct Tally {
-    /// Taken and refused, by target.
-    counts: std::collections::BTreeMap<String, [u64; 2]>,
+    /// Taken, refused, and (octree files) of all these how many had a header and checksums that pass; by target.
+    counts: std::collections::BTreeMap<String, [u64; 3]>,
     failures: u64,
 }
 
@@ -134,10 +156,10 @@ fn stretch(name: &str, mut first: u64, last: u64, keep: &Path, tally: &Mutex<Tal
             .unwrap();
         let record = std::fs::read(place.path()).unwrap();
         let number = |i: usize| record.get(8 * i..8 * i + 8).map_or(0, |b| u64::from_le_bytes(b.try_into().unwrap()));
-        let (at, taken, refused) = (number(0), number(1), number(2));
+        let at = number(0);
         let mut tally = tally.lock().unwrap();
         let counts = tally.counts.entry(name.into()).or_default();
-        (counts[0], counts[1]) = (counts[0] + taken, counts[1] + refused);
+        (0..3).for_each(|i| counts[i] += number(i + 1));
         if child.status.success() {
             return;
         }
@@ -163,7 +185,7 @@ fn child(args: &Args) {
     let target = targets::named(name);
     let folder = tempfile::tempdir().unwrap();
     let seeds = Seeds::new(folder.path());
-    let mut place = std::fs::File::create(&args.keep).unwrap();
+    let place = std::fs::File::create(&args.keep).unwrap();
     let since = Arc::new(AtomicU64::new(0));
     let (watched, ended) = (since.clone(), Arc::new(AtomicBool::new(false)));
     let stop = ended.clone();
@@ -178,13 +200,13 @@ fn child(args: &Args) {
             }
         }
     });
-    let mut counts = [0u64; 2];
+    let mut counts = [0u64; 3];
     for number in args.first..args.first + args.inputs {
         since.store(start.elapsed().as_millis() as u64, Ordering::Relaxed);
-        let record: Vec<u8> = [number, counts[0], counts[1]].iter().flat_map(|x| x.to_le_bytes()).collect();
-        use std::os::unix::fs::FileExt;
-        place.write_all_at(&record, 0).unwrap();
-        match (target.run)(&seeds.input(name, number), folder.path()) {
+        note(&place, number, counts);
+        let input = seeds.input(name, number);
+        counts[2] += u64::from(name == "oct" && fuzz::oct::passes(&input));
+        match (target.run)(&input, folder.path()) {
             Outcome::Taken => counts[0] += 1,
             Outcome::Refused => counts[1] += 1,
         }
@@ -193,11 +215,15 @@ fn child(args: &Args) {
             std::process::abort();
         }
     }
-    let record: Vec<u8> = [0, counts[0], counts[1]].iter().flat_map(|x| x.to_le_bytes()).collect();
-    use std::os::unix::fs::FileExt;
-    place.write_all_at(&record, 0).unwrap();
-    place.flush().unwrap();
+    note(&place, 0, counts);
     ended.store(true, Ordering::Relaxed);
+}
+
+/// Writes down which input is next, and the counts so far.
+fn note(place: &std::fs::File, number: u64, counts: [u64; 3]) {
+    use std::os::unix::fs::FileExt;
+    let record: Vec<u8> = std::iter::once(number).chain(counts).flat_map(u64::to_le_bytes).collect();
+    place.write_all_at(&record, 0).unwrap();
 }
 
 /// Peak resident memory of this process in bytes, where the system tells.

@@ -44,7 +44,7 @@ const SCENES: [&str; 4] = [
     include_str!("../../scenes/classic.txt"),
     include_str!("../../scenes/glass.txt"),
     "resolution 20 10\nlookat 0 1 5  0 0 0  0 1 0\nfov 40\nbackground .1 .2 .3\namblight .1\nlight 3 5 8 1\nsun -1 -2 -1 .4 .4 .3\nmat diff .8 .3 .2\nmat spec 1 1 1\nshin 20\nreflect .4\nlocal .6\nsphere 0 0 0 1\nplane 0 -1 0 0 1 0\nrectangle -1 -1 -2  2 0 0  0 2 0\ntriangle 0 0 1  1 0 1  0 1 1\npush\ntranslate 1 0 0\nrotate 30 0 1 0\nscale 1 2 1\nsphere 0 0 0 .5\npop\ntransmit .8 1.5\nsphere 0 0 0 .4\n",
-    "frame -.2 -.4 -1\ndepth 8\nsamples 4\ntonemap srgb\noct off\noct sheet.oct\nsmooth on\nmtl on\nobj model.obj\ninclude other.txt\nmat save a\nmat load a\noutput x.png\noutsize 9\n",
+    "frame -.2 -.4 -1\ndepth 8\nsamples 4\ntonemap srgb\noct off\noct 1.oct\noct\nsmooth on\nmtl on\nobj model.obj\ninclude other.txt\nmat save a\nmat load a\noutput x.png\noutsize 9\n",
 ];
 
 const OBJ_WORDS: [&str; 16] =
@@ -118,18 +118,19 @@ const SCENE_WORDS: [&str; 42] = [
 /// Seeds of each kind.
 pub struct Seeds {
     octs: Vec<Vec<u8>>,
+    pictures: Vec<Vec<u8>>,
 }
 
 impl Seeds {
     /// Makes them in a folder.
     pub fn new(folder: &Path) -> Seeds {
         let obj = folder.join("sheet.obj");
-        std::fs::write(&obj, sheet(24)).unwrap();
+        std::fs::write(&obj, sheet(16)).unwrap();
         std::fs::write(folder.join("sheet.mtl"), MTL).unwrap();
         let plain = folder.join("plain.obj");
-        let bare: String = sheet(24).lines().filter(|l| l.starts_with("v ") || l.starts_with('f')).map(bare).collect();
+        let bare: String = sheet(16).lines().filter(|l| l.starts_with("v ") || l.starts_with('f')).map(bare).collect();
         std::fs::write(&plain, bare).unwrap();
-        let base = BuildOptions { brick: Some(150), ..BuildOptions::default() };
+        let base = BuildOptions { brick: Some(70), ..BuildOptions::default() };
         let all = [
             (&obj, base.clone()),
             (&plain, base.clone()),
@@ -146,12 +147,15 @@ impl Seeds {
             octrace::build::build(source.as_mut(), &oct, &options, Monitor::silent()).unwrap();
             std::fs::read(&oct).unwrap()
         };
-        Seeds { octs: all.into_iter().enumerate().map(build).collect() }
+        std::fs::write(folder.join("model.obj"), OBJS[0]).unwrap();
+        std::fs::write(folder.join("other.txt"), "sphere 0 0 0 1\nmat diff 1 0 0\noct 0.oct\n").unwrap();
+        Seeds { pictures: pictures(), octs: all.into_iter().enumerate().map(build).collect() }
     }
 
     /// The input of that number for a target: the same for ever.
     pub fn input(&self, target: &str, number: u64) -> Vec<u8> {
-        let mut random = Random(number.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ target.len() as u64);
+        let name = target.bytes().fold(0, |sum, byte| 31 * sum + u64::from(byte));
+        let mut random = Random(number.wrapping_mul(0x2545_f491_4f6c_dd1d) ^ name);
         random.bits();
         let text = |seed: &str, words: &[&str], random: &mut Random| {
             let mut text = seed.as_bytes().to_vec();
@@ -162,6 +166,16 @@ impl Seeds {
             "obj" => {
                 let seed = *random.one_of(&OBJS);
                 text(seed, &OBJ_WORDS, &mut random)
+            }
+            "archive" => {
+                let seed = *random.one_of(&OBJS);
+                let text = text(seed, &OBJ_WORDS, &mut random);
+                archive(&text, &mut random)
+            }
+            "texture" => {
+                let mut picture = random.one_of(&self.pictures).clone();
+                spoil_picture(&mut picture, &mut random);
+                picture
             }
             "mtl" => text(MTL, &MTL_WORDS, &mut random),
             "ply" if random.once_in(2) => binary_ply(&mut random),
@@ -193,11 +207,95 @@ fn spoil(bytes: &mut Vec<u8>, random: &mut Random) {
     for _ in 0..random.below(6) {
         let at = random.below(bytes.len());
         match random.below(5) {
-            0 => bytes.truncate(at.max(1)),
+            0 if random.once_in(3) => bytes.truncate(at.max(1)),
             1 => bytes[at] = *random.one_of(&[0, 1, 0x7f, 0x80, 0xff]),
             2 => bytes.insert(at, random.bits() as u8),
             _ => bytes[at] ^= 1 << random.below(8),
         }
+    }
+}
+
+/// A text compressed in one to three pieces, which readers take one after the other, and spoiled in one case of two.
+fn archive(text: &[u8], random: &mut Random) -> Vec<u8> {
+    use std::io::Write;
+    let (gzip, mut bytes) = (random.once_in(2), Vec::new());
+    for piece in text.chunks((text.len() / (1 + random.below(3))).max(1)) {
+        if gzip {
+            let mut encoder =
+                flate2::write::GzEncoder::new(&mut bytes, flate2::Compression::new(random.below(10) as u32));
+            encoder.write_all(piece).unwrap();
+            encoder.finish().unwrap();
+        } else {
+            let mut encoder = zstd::stream::write::Encoder::new(&mut bytes, 1 + random.below(3) as i32).unwrap();
+            encoder.include_checksum(random.once_in(2)).unwrap();
+            encoder.write_all(piece).unwrap();
+            encoder.finish().unwrap();
+        }
+    }
+    if random.once_in(2) && !bytes.is_empty() {
+        spoil(&mut bytes, random);
+    }
+    bytes
+}
+
+/// A small picture in every format that is read.
+fn pictures() -> Vec<Vec<u8>> {
+    use image::{DynamicImage, ImageFormat, Rgb, RgbImage};
+    let rgb = DynamicImage::from(RgbImage::from_fn(9, 7, |x, y| Rgb([(20 * x) as u8, (30 * y) as u8, (x * y) as u8])));
+    let (grey, deep) = (DynamicImage::from(rgb.to_luma8()), DynamicImage::from(rgb.to_rgba16()));
+    let floats = DynamicImage::from(rgb.to_rgb32f());
+    let all = [
+        (&rgb, ImageFormat::Png),
+        (&deep, ImageFormat::Png),
+        (&grey, ImageFormat::Png),
+        (&rgb, ImageFormat::Jpeg),
+        (&grey, ImageFormat::Jpeg),
+        (&rgb, ImageFormat::Bmp),
+        (&rgb, ImageFormat::Tga),
+        (&rgb, ImageFormat::Tiff),
+        (&deep, ImageFormat::Tiff),
+        (&floats, ImageFormat::Hdr),
+        (&floats, ImageFormat::OpenExr),
+    ];
+    let encode = |(picture, format): (&DynamicImage, ImageFormat)| {
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        picture.write_to(&mut bytes, format).unwrap();
+        bytes.into_inner()
+    };
+    all.into_iter().map(encode).collect()
+}
+
+/// Changes bytes and whole fields; in one case of two a PNG gets its checksums made right again.
+fn spoil_picture(bytes: &mut Vec<u8>, random: &mut Random) {
+    for _ in 0..random.below(4) {
+        let (at, size) = (random.below(bytes.len().min(200)), 1 << random.below(3));
+        let field =
+            random.one_of(&[0u32, 1, 2, 0x7f, 0xff, 0x7fff, 0x8000, 0xffff, 0x7fff_ffff, u32::MAX]).to_le_bytes();
+        if let Some(place) = bytes.get_mut(at..at + size) {
+            place.copy_from_slice(&field[..size]);
+            if random.once_in(2) {
+                place.reverse();
+            }
+        }
+    }
+    spoil(bytes, random);
+    if !bytes.starts_with(b"\x89PNG") || random.once_in(2) {
+        return;
+    }
+    let mut at: usize = 8;
+    while let Some(length) = bytes.get(at..at.saturating_add(4)).map(|b| u32::from_be_bytes(b.try_into().unwrap())) {
+        let end = at + 8 + length as usize;
+        let Some(sum) = bytes.get(at + 4..end).map(|chunk| {
+            let mut crc = flate2::Crc::new();
+            crc.update(chunk);
+            crc.sum()
+        }) else {
+            break;
+        };
+        if let Some(place) = bytes.get_mut(end..end + 4) {
+            place.copy_from_slice(&sum.to_be_bytes());
+        }
+        at = end + 4;
     }
 }
 

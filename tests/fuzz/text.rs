@@ -2,7 +2,7 @@
 
 use super::random::Random;
 
-const NUMBERS: [&str; 24] = [
+const NUMBERS: [&str; 25] = [
     "0",
     "-0",
     "1",
@@ -12,6 +12,7 @@ const NUMBERS: [&str; 24] = [
     "-2147483649",
     "4294967295",
     "4294967296",
+    "9223372036854775807",
     "18446744073709551616",
     "1e38",
     "3.5e38",
@@ -30,9 +31,10 @@ const NUMBERS: [&str; 24] = [
 ];
 const GLUE: [&str; 12] = ["\\\n", "\r\n", "\r", "\t", "\0", "#", "\"", "\\", "\u{feff}", "\u{e4}", " ", "\n"];
 
-/// Changes a text in one to ten places; `words` are such as mean something in it.
+/// Changes a text in one to ten places, mostly few; `words` are such as mean something in it.
 pub fn mutate(text: &mut Vec<u8>, words: &[&str], random: &mut Random) {
-    for _ in 0..1 + random.below(10) {
+    let most = 1 + random.below(10);
+    for _ in 0..1 + random.below(most) {
         let lines: Vec<(usize, usize)> = lines(text);
         let (first, end) = *random.one_of(&lines);
         match random.below(10) {

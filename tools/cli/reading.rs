@@ -1,8 +1,10 @@
 //! How octree files are read: the flags, and what they mean for a bound on memory.
 
+use std::path::Path;
+
 use octrace::Error;
 use octrace::format::{Flags, Header};
-use octrace::map::{Octree, half_of_free_memory};
+use octrace::map::{Octree, Read, half_of_free_memory};
 
 /// Flags for reading octree files.
 #[derive(Clone, Debug, clap::Args)]
@@ -27,6 +29,9 @@ pub enum How {
     Budgeted,
 }
 
+/// Most times that files are looked at because others took their places meanwhile.
+const LOOKS: usize = 100;
+
 /// Memory for what is not counted: code that has not run yet, stacks, small things. Half of it was seen to be needed.
 const REST: u64 = 8 << 20;
 
@@ -48,6 +53,31 @@ impl Reading {
             (_, None) => Ok(Some(half_of_free_memory())),
         }
     }
+}
+
+/// Opens octree files: mapped, or with the least of memory for their pages if there is a bound on memory, which is told too.
+///
+/// How a file is opened depends on its header, which is read before; if another file has taken its place meanwhile, all begins anew.
+pub fn open(paths: &[impl AsRef<Path>], reading: &Reading) -> Result<(Vec<Octree>, Option<u64>), Error> {
+    let headers = || paths.iter().map(|path| Octree::header_of(path.as_ref())).collect::<Result<Vec<_>, _>>();
+    let sums = |headers: &[Header]| headers.iter().map(|header| header.checksum).collect::<Vec<_>>();
+    for look in 1.. {
+        let before = headers()?;
+        let bound = reading.bound(&before)?;
+        let open = |path: &Path| match bound {
+            Some(_) => Octree::open_with(path, Read::Budgeted { cache: Octree::least_cache(path)? }),
+            None => Octree::open_with(path, Read::Mapped),
+        };
+        let opened = paths.iter().map(|path| open(path.as_ref())).collect::<Result<Vec<_>, _>>();
+        let now = match &opened {
+            Ok(octrees) => octrees.iter().map(|octree| *octree.header()).collect(),
+            Err(_) => headers()?,
+        };
+        if sums(&now) == sums(&before) || look == LOOKS {
+            return opened.map(|octrees| (octrees, bound));
+        }
+    }
+    unreachable!("the last look returns")
 }
 
 /// What of the bound is left beside what this process has taken so far, and what the files will take beside their pages.

@@ -251,7 +251,10 @@ fn check_output(input: &Path, output: &Path) -> Result<()> {
         return Err(Error::io(output, "create")(io::Error::other("it is a device or a pipe; name a regular file")));
     }
     if cli::output::same_file(input, output) {
-        return Err(Error::Option(format!("{}: input and output are the same file", input.display())));
+        return Err(Error::Option(format!(
+            "{}: input and output are the same file; name another output",
+            input.display()
+        )));
     }
     Ok(())
 }

@@ -38,7 +38,9 @@ pub fn check(model: &Path, output: &Path) -> Result<()> {
         return Err(Error::Input { file: output.to_owned(), what });
     }
     match [output, &materials].into_iter().find(|path| same_file(model, path)) {
-        Some(path) => Err(Error::Option(format!("{}: input and output are the same file", path.display()))),
+        Some(path) => {
+            Err(Error::Option(format!("{}: input and output are the same file; name another output", path.display())))
+        }
         None => Ok(()),
     }
 }

@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use clap::Parser;
 use octrace::build::BuildOptions;
-use octrace::map::{Octree, Read};
+use octrace::map::Octree;
 use octrace::mesh::ReadOptions;
 use octrace::output::{self, Format};
 use octrace::render::{self, AovKind, Picture, Plan, Settings, Share, Statistics, Tile};
@@ -206,9 +206,8 @@ fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
     aovs::check(&args.picture.aov, &place, input)?;
     let tonemap = scene.tonemap;
     let paths = scene.meshes.iter().map(|mesh| find(mesh, args, session)).collect::<Result<Vec<_>>>()?;
-    let headers = paths.iter().map(|path| Octree::header_of(path)).collect::<Result<Vec<_>>>()?;
-    let bound = args.reading.bound(&headers)?;
-    let meshes = paths.iter().map(|path| open(path, bound.is_some())).collect::<Result<Vec<_>>>()?;
+    let (meshes, bound) = reading::open(&paths, &args.reading)?;
+    let meshes: Vec<Arc<Octree>> = meshes.into_iter().map(Arc::new).collect();
     let PictureArgs { size, samples, depth, crop, lod, ref aov } = args.picture;
     let lod = lod.filter(|pixels| *pixels > 0.0);
     let world = World::new(scene, meshes.clone(), session.monitor())?.with_lod(lod.unwrap_or(0.0))?;
@@ -218,8 +217,10 @@ fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
         let shown = args.live.pixel_bytes() * u64::from(width) * u64::from(height);
         let plan = plan(&world, &settings, aov.len(), lod.is_some(), shown, memory, &meshes)?;
         (settings.tile, settings.wave) = (plan.tile, plan.wave);
-        for (path, header) in paths.iter().zip(&headers) {
-            reading::warning(path, header, memory).into_iter().for_each(|text| session.monitor().warn(text));
+        for mesh in &meshes {
+            reading::warning(mesh.path(), mesh.header(), memory)
+                .into_iter()
+                .for_each(|text| session.monitor().warn(text));
         }
     }
     let before = cli::stats::cpu_seconds();
@@ -293,12 +294,6 @@ fn find(mesh: &MeshFile, args: &Args, session: &Session<'_>) -> Result<PathBuf> 
     find_or_build(&mesh.path, &read, memory, session.monitor())
 }
 
-/// Opens an octree file: mapped, or at first with the least of memory for its pages.
-fn open(path: &Path, budgeted: bool) -> Result<Arc<Octree>> {
-    let read = if budgeted { Read::Budgeted { cache: Octree::least_cache(path)? } } else { Read::Mapped };
-    Octree::open_with(path, read).map(Arc::new)
-}
-
 /// Shares the memory that is left out among waves of rays and the pages of all meshes. Each of the pictures of data takes its part too, and
 /// what there is for level of detail, if that is asked for, and what shows the picture meanwhile (`shown` bytes).
 fn plan(
@@ -311,7 +306,7 @@ fn plan(
     meshes: &[Arc<Octree>],
 ) -> Result<Plan> {
     let headers: Vec<_> = meshes.iter().map(|mesh| *mesh.header()).collect();
-    let leasts = meshes.iter().map(|mesh| Octree::least_cache(mesh.path())).collect::<Result<Vec<_>>>()?;
+    let leasts: Vec<u64> = meshes.iter().map(|mesh| mesh.least()).collect();
     let least = leasts.iter().sum::<u64>();
     let plan_for = |memory| Plan::new(world.scene(), settings, aovs, rayon::current_num_threads(), memory, least);
     let detail: u64 = if lod { meshes.iter().map(|mesh| mesh.detail_bytes()).sum() } else { 0 };

@@ -56,7 +56,10 @@ impl Place {
         };
         crate::cli::output::check(&path)?;
         if crate::cli::output::same_file(&path, input) {
-            return Err(Error::Option(format!("{}: input and output are the same file", path.display())));
+            return Err(Error::Option(format!(
+                "{}: input and output are the same file; name another output",
+                path.display()
+            )));
         }
         // Devices have no suffix that would mean anything.
         if !crate::cli::output::is_special(&path) {

@@ -11,7 +11,7 @@ use std::time::Instant;
 
 use clap::Parser;
 use octrace::geometry::{Hit, Ray};
-use octrace::map::{Octree, Read};
+use octrace::map::Octree;
 use octrace::trace::{Counters, Isa, OctreeTracer, Tracer};
 use octrace::{Error, Result};
 use serde::Serialize;
@@ -111,16 +111,14 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
 
 /// Opens the file; how many rays to trace at a time.
 fn open(args: &Args, session: &Session<'_>) -> Result<(Octree, usize)> {
-    let header = Octree::header_of(&args.model)?;
-    let Some(memory) = args.reading.bound(&[header])? else {
-        return Ok((Octree::open_with(&args.model, Read::Mapped)?, BATCHES[1]));
-    };
+    let (mut octrees, bound) = reading::open(&[&args.model], &args.reading)?;
+    let octree = octrees.remove(0);
+    let Some(memory) = bound else { return Ok((octree, BATCHES[1])) };
     if args.repeat > 1 && args.reading.memory.is_some() {
         return Err(Error::Option("--repeat holds all rays in memory, so it does not go with --memory".into()));
     }
-    let least = Octree::least_cache(&args.model)?;
-    let octree = Octree::open_with(&args.model, Read::Budgeted { cache: least })?;
-    let need = least + BATCHES[0] as u64 * RAY_BYTES;
+    let header = *octree.header();
+    let need = octree.least() + BATCHES[0] as u64 * RAY_BYTES;
     let left = reading::left_of(memory, &[header]).map_err(|taken| reading::too_small(taken + need))?;
     let rest = left.checked_sub(need).ok_or_else(|| reading::too_small(memory - left + need))?;
     let mut batch = BATCHES[0];

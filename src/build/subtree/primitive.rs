@@ -1,6 +1,6 @@
 //! What the splitters sort: boxes of triangles or of parts of them.
 
-use glam::{DVec3, Vec3A, Vec3Swizzles};
+use glam::{DVec3, Vec3A};
 
 use crate::geometry::{Aabb, Triangle};
 
@@ -85,13 +85,6 @@ impl Span {
     /// Whether no point lies in it.
     pub fn is_empty(self) -> bool {
         self.min.cmpgt(self.max).any()
-    }
-
-    /// Half the surface in f32, infinite where nothing lies in any direction ([`Span::EMPTY`]): to 5 roundings, where no extent or product
-    /// of two overflows or underflows.
-    pub fn rough_half_area(self) -> f32 {
-        let d = self.max - self.min;
-        d.dot(d.yzx())
     }
 
     /// Half the surface, 0 where empty. In f64: extents up to 2 FLT_MAX have finite areas, those of denormals are not 0.

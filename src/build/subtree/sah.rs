@@ -310,7 +310,7 @@ impl Splitter<'_> {
             }
             return halves;
         }
-        let split = binning.map(|binning| best_split(primitives, sum.span, &binning, self.spatial));
+        let split = binning.map(|binning| best_split(primitives, &binning, self.spatial));
         if !room.is_empty() && sum.large && split.as_ref().is_none_or(|s| s.overlap > OVERLAP * self.root_area) {
             let bound = split.as_ref().map_or(f64::INFINITY, |s| s.cost);
             let cut = spatial::best_cut(primitives, sum.span, room.len(), bound, self.triangles);

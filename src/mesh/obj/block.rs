@@ -122,7 +122,7 @@ impl Blocks {
         match memchr(0, text) {
             None => Ok(()),
             Some(_) => {
-                let what = "this is not an OBJ text: it holds NUL bytes, so it is binary or damaged".into();
+                let what = "this is not an OBJ text: it holds NUL bytes, so it is binary or damaged; fetch it again, or name it after what it is".into();
                 Err(Error::Input { file: self.stream.file().to_owned(), what })
             }
         }

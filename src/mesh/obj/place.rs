@@ -7,6 +7,8 @@ use memchr::{memchr, memchr_iter, memrchr};
 use super::parse::Problem;
 use crate::error::{Diagnostic, Severity};
 
+/// What to do about a mistake where there is nothing better to say.
+pub(super) const SKIP: &str = "correct the line, or give --lenient to skip what is wrong";
 /// Bytes of a line's text that are shown before and after the marked word, if the line is longer than three of these.
 const AROUND: usize = 80;
 
@@ -27,7 +29,8 @@ pub(super) fn diagnose(problem: Problem, text: &[u8], file: String, first_line: 
         column: decode(&line[..place.start]).chars().count() as u64 + 1,
         text: shown,
         span,
-        help,
+        // What is only told of was skipped already.
+        help: help.or_else(|| (severity == Severity::Error).then(|| SKIP.to_owned())),
     }
 }
 

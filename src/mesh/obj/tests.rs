@@ -126,8 +126,18 @@ fn lenient(text: impl AsRef<[u8]>) -> Seen {
     read_with(text.as_ref(), ReadOptions { lenient: true, ..Default::default() }).unwrap()
 }
 
+/// What is wrong, without what to do where that is said of everything.
 fn error(text: impl AsRef<[u8]>) -> String {
-    read_with(text.as_ref(), ReadOptions::default()).err().expect("an error")
+    let told = read_with(text.as_ref(), ReadOptions::default()).err().expect("an error");
+    told.replace(&format!(" ({})", super::place::SKIP), "")
+}
+
+#[test]
+fn every_error_says_what_to_do() {
+    for line in ["v x 0 0", "vn 0 1", "f 1 2 9", "f 1 2 -9", "f 1 2 0", "f 1 2 1.5", "v 1,5 0 0"] {
+        let told = read_with(format!("{FOUR}{line}\n").as_bytes(), ReadOptions::default()).err().expect("an error");
+        assert!(told.ends_with(')') && told.contains("` ("), "{told}");
+    }
 }
 
 /// The vertex numbers of each face.

@@ -72,7 +72,9 @@ impl<'a> Body<'a> {
         let vertices = header.elements.iter().filter(|e| e.name == "vertex").map(|e| e.count).sum();
         let body = Body { bytes, header, options, file, progress, vertices, info, faces, mixed: false };
         if vertices > u64::from(u32::MAX) {
-            return Err(body.wrong(format!("more than {} vertices, the most that can be counted", u32::MAX)));
+            return Err(
+                body.wrong(format!("more than {} vertices, the most that can be counted; split the mesh", u32::MAX))
+            );
         }
         Ok(body)
     }
@@ -140,7 +142,10 @@ impl<'a> Body<'a> {
             Some(value) => Ok(Some(value)),
             None => {
                 let word: String = String::from_utf8_lossy(word).chars().take(40).collect();
-                Err(self.wrong(format!("at byte {}: `{word}` is not a number of its type", self.bytes.position())))
+                Err(self.wrong(format!(
+                    "at byte {}: `{word}` is not a number of its type; correct it, or export the mesh again",
+                    self.bytes.position()
+                )))
             }
         }
     }
@@ -151,7 +156,7 @@ impl<'a> Body<'a> {
         match usize::try_from(length) {
             Ok(length) if length < FaceBatch::GAP as usize => Ok(length),
             _ => Err(self.wrong(format!(
-                "item {item} of `{}` has a list of {length} numbers; the file is damaged",
+                "item {item} of `{}` has a list of {length} numbers, more than there can be; the file is damaged, fetch it again",
                 element.name
             ))),
         }
@@ -181,7 +186,8 @@ impl<'a> Body<'a> {
         let place = |name: &str| element.properties.iter().position(|p| p.name == name && p.list.is_none());
         let three = |names: [&str; 3]| Some([place(names[0])?, place(names[1])?, place(names[2])?]);
         let two = |[a, b]: [&str; 2]| Some([place(a)?, place(b)?]);
-        let position = three(["x", "y", "z"]).ok_or_else(|| self.wrong("its vertices have no x, y and z".into()))?;
+        let position = three(["x", "y", "z"])
+            .ok_or_else(|| self.wrong("its vertices have no x, y and z; export it with positions".into()))?;
         let texcoord = [["s", "t"], ["u", "v"], ["texture_u", "texture_v"]].into_iter().find_map(two);
         let places = Places { position, normal: three(["nx", "ny", "nz"]), texcoord };
         let mut values = vec![Value::Whole(0); element.properties.len()];
@@ -210,7 +216,9 @@ impl<'a> Body<'a> {
     fn faces(&mut self, element: &Element, sink: &mut dyn MeshSink) -> Result<()> {
         let is_corners = |p: &Property| p.list.is_some() && ["vertex_indices", "vertex_index"].contains(&&p.name[..]);
         if !element.properties.iter().any(is_corners) {
-            return Err(self.wrong(format!("its element `{}` has no list vertex_indices", element.name)));
+            return Err(
+                self.wrong(format!("its element `{}` has no list vertex_indices; export it with faces", element.name))
+            );
         }
         for item in 0..element.count {
             for property in &element.properties {
@@ -218,7 +226,9 @@ impl<'a> Body<'a> {
                     Some(count) if is_corners(property) => {
                         let length = self.length(count, element, item)?;
                         if element.name == "face" && 12 * length > self.options.longest_line {
-                            let what = format!("face {item} has {length} corners, more than fit in the memory allowed");
+                            let what = format!(
+                                "face {item} has {length} corners, more than fit in the memory allowed; allow more"
+                            );
                             return Err(self.wrong(what));
                         }
                         match &element.name[..] {
@@ -274,7 +284,7 @@ impl<'a> Body<'a> {
         }
         let (name, vertices) = (&element.name, self.vertices);
         Err(self
-            .wrong(format!("item {item} of `{name}` names vertex {number}, but there are {vertices}, counted from 0")))
+            .wrong(format!("item {item} of `{name}` names vertex {number}, but there are {vertices}, counted from 0; --lenient drops such faces")))
     }
 
     /// Counts a face whose corners begin at `start`.

@@ -80,14 +80,25 @@ impl Header {
         let (mut coding, mut elements) = (None, Vec::<Element>::new());
         for number in 1.. {
             let Some(line) = bytes.line()? else {
-                return Ok(Err("the header has no end: end_header is missing".into()));
+                return Ok(Err(
+                    "the header has no end: end_header is missing; the file was cut short or is no mesh".into()
+                ));
             };
             let line = String::from_utf8_lossy(line).into_owned();
             let words: Vec<&str> = line.split_ascii_whitespace().collect();
-            let wrong = || Ok(Err(format!("line {number} of the header makes no sense: `{}`", shortened(&line))));
+            let wrong = || {
+                Ok(Err(format!(
+                    "line {number} of the header makes no sense: `{}`; correct it, or export the mesh again",
+                    shortened(&line)
+                )))
+            };
             match (number, &words[..]) {
                 (1, ["ply"]) => {}
-                (1, _) => return Ok(Err("this is not a PLY file: it does not begin with `ply`".into())),
+                (1, _) => {
+                    return Ok(Err(
+                        "this is not a PLY file: it does not begin with `ply`; name it after what it is".into()
+                    ));
+                }
                 (_, [] | ["comment" | "obj_info", ..]) => {}
                 (_, ["format", name, _]) => match *name {
                     "ascii" => coding = Some(Coding::Ascii),
@@ -107,10 +118,12 @@ impl Header {
                 _ => return wrong(),
             }
             if number > MOST_LINES {
-                return Ok(Err("the header has no end".into()));
+                return Ok(Err(format!("the header has more than {MOST_LINES} lines, the most that are read")));
             }
         }
-        Ok(coding.map(|coding| Header { coding, elements }).ok_or_else(|| "the header names no format".into()))
+        Ok(coding
+            .map(|coding| Header { coding, elements })
+            .ok_or_else(|| "the header names no format: ascii, binary_little_endian or binary_big_endian".into()))
     }
 }
 

@@ -6,18 +6,7 @@ use super::super::ToneMap;
 use super::super::args::{Args, Limit};
 use super::super::diagnose::{Problem, Step};
 use super::super::parser::State;
-
-/// Longest side of a picture, pixels.
-const MOST_SIDE: u32 = 1 << 16;
-
-/// Most pixels of a picture.
-const MOST_PIXELS: u64 = 1 << 31;
-
-/// Most samples per pixel.
-const MOST_SAMPLES: u32 = 1 << 16;
-
-/// Most bounces.
-const MOST_DEPTH: u32 = 10_000;
+use super::super::{MOST_DEPTH, MOST_PIXELS, MOST_SAMPLES, MOST_SIDE};
 
 pub(super) fn output(state: &mut State, args: &mut Args) -> Step<()> {
     state.scene.output = Some(PathBuf::from(args.file()?.text));
