@@ -3,6 +3,8 @@
 //! Each chunk has a buffer; a full one is appended to the spool as an extent and noted in the chunk's list, so that a
 //! chunk keeps the order of the source. One file, however many chunks: files are dear on some systems.
 
+use std::ops::Range;
+
 use rayon::prelude::*;
 
 use crate::error::Result;
@@ -143,30 +145,36 @@ impl Sorting<'_> {
     /// A part by chunks: each record once in each chunk it belongs to.
     fn sorted(self, part: &[u32], layout: Layout, cell: CellCode, units: &[Unit], chunk_of: &[u32]) -> Sorted {
         let words = layout.words();
-        let mut goals: Vec<(u32, u32)> = Vec::with_capacity(part.len() / words);
+        // Runs of records that go to the same chunk: neighbours in a mesh's file mostly do.
+        let mut goals: Vec<(u32, Range<usize>)> = Vec::new();
         let mut finder = UnitFinder::new(units);
-        for (number, record) in (0..).zip(part.chunks_exact(words)) {
+        for (number, record) in part.chunks_exact(words).enumerate() {
             if self.placement.repeats() {
                 let triangle = layout.triangle(record);
                 places(units, &triangle, cell, self.placement, |unit| {
                     // Units come in order, so a chunk that has the record already is the last one.
-                    let goal = (chunk_of[unit], number);
+                    let goal = (chunk_of[unit], number..number + 1);
                     if goals.last() != Some(&goal) {
                         goals.push(goal);
                     }
                 });
             } else {
-                let code = cell_of(self.placement.root, layout.bounds(record));
-                goals.push((chunk_of[finder.place(code)], number));
+                let chunk = chunk_of[finder.place(cell_of(self.placement.root, layout.bounds(record)))];
+                match goals.last_mut() {
+                    Some((last, run)) if *last == chunk => run.end = number + 1,
+                    _ => goals.push((chunk, number..number + 1)),
+                }
             }
         }
-        goals.sort_unstable();
-        let mut sorted = Sorted { words: Vec::with_capacity(words * goals.len()), runs: Vec::new() };
-        for run in goals.chunk_by(|a, b| a.0 == b.0) {
-            for &(_, number) in run {
-                sorted.words.extend_from_slice(&part[number as usize * words..][..words]);
+        goals.sort_unstable_by_key(|(chunk, run)| (*chunk, run.start));
+        let all: usize = goals.iter().map(|(_, run)| run.len()).sum();
+        let mut sorted = Sorted { words: Vec::with_capacity(words * all), runs: Vec::new() };
+        for runs in goals.chunk_by(|a, b| a.0 == b.0) {
+            let before = sorted.words.len();
+            for (_, run) in runs {
+                sorted.words.extend_from_slice(&part[run.start * words..run.end * words]);
             }
-            sorted.runs.push((run[0].0, words * run.len()));
+            sorted.runs.push((runs[0].0, sorted.words.len() - before));
         }
         sorted
     }

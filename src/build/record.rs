@@ -48,8 +48,8 @@ impl Layout {
 
     /// Appends a record.
     pub fn write(self, record: &Record, out: &mut Vec<u32>) {
-        out.extend(record.corners.as_flattened().iter().map(|x| x.to_bits()));
-        out.push(record.id);
+        let [x, y, z, u, v, w, p, q, r] = bytemuck::cast::<_, [u32; 9]>(record.corners);
+        out.extend_from_slice(&[x, y, z, u, v, w, p, q, r, record.id]);
         if self.materials {
             out.push(record.material);
         }

@@ -97,6 +97,8 @@ pub(super) fn join_all<'w>(
     }
     let records = scan.faces.triangles() * 4 * scan.layout().words() as u64;
     if records > 4 * tuning.record_words as u64 {
+        // They go to a file in the end, so from the first on.
+        tuning.record_words = 0;
         check_after(records, scan.faces.triangles(), work.temp(), output)?;
     }
     phases.expect_sorting(scan.counts_ahead(options, &tuning));

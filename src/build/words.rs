@@ -9,6 +9,11 @@ use memmap2::MmapMut;
 
 use crate::error::{Error, Result};
 
+/// Bytes from which on a map may lie in huge pages, the last of which may be touched in part only. A build bound to little memory has
+/// no such map.
+#[cfg(target_os = "linux")]
+const HUGE: usize = 32 << 20;
+
 /// A fixed number of words, zero at first.
 #[derive(Default)]
 pub(super) struct Words {
@@ -23,6 +28,11 @@ impl Words {
             return Ok(Words::default());
         }
         let map = MmapMut::map_anon(4 * len).map_err(Error::io("memory", "reserve address space in"))?;
+        #[cfg(target_os = "linux")]
+        if map.len() >= HUGE {
+            // A page at a time, the system takes as long to hand memory out as it takes to fill it. It may decline.
+            let _ = map.advise(memmap2::Advice::HugePage);
+        }
         Ok(Words { map: Some(map), len })
     }
 }

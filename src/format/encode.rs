@@ -93,7 +93,10 @@ impl VertexTable {
     #[inline]
     fn number(&mut self, vertex: Vec3) -> u8 {
         let bits = vertex.to_array().map(f32::to_bits);
-        let mixed = bits.iter().fold(0u32, |h, &k| (h.rotate_left(5) ^ k).wrapping_mul(0x9e37_79b9));
+        // Three products at a time, and the highest bits of their sum.
+        let [x, y, z] = bits;
+        let product = |bits: u32, factor: u32| (bits ^ bits >> 15).wrapping_mul(factor);
+        let mixed = product(x, 0x9e37_79b9).wrapping_add(product(y, 0x85eb_ca6b)).wrapping_add(product(z, 0xc2b2_ae35));
         let mut place = (mixed >> 25) as usize % VertexTable::PLACES;
         loop {
             match self.places[place] {

@@ -17,10 +17,15 @@ pub(super) fn assign_slots(children: &[Bounds]) -> impl Iterator<Item = usize> {
     let pairs = Pairs::of(children);
     let twos = Twos::of(&pairs);
     let fours = FOURS.map(|four| twos.best_four(four));
+    // Without what lies across x a cost is too low, if anything. Where that is least the whole is near the least as a rule, so that
+    // few others are to be looked at.
+    let inner = |low: usize| fours[low].1 + fours[FOURS.len() - 1 - low].1;
+    let whole = |low: usize| inner(low) + pairs.across(X, &FOURS[low], &FOURS[FOURS.len() - 1 - low]);
+    let least = (1..FOURS.len()).fold(0, |least, low| if inner(low) < inner(least) { low } else { least });
+    let bound = whole(least);
     let mut best = (f64::INFINITY, 0);
-    for (low, four) in FOURS.iter().enumerate() {
-        let high = FOURS.len() - 1 - low;
-        let cost = fours[low].1 + fours[high].1 + pairs.across(X, four, &FOURS[high]);
+    for low in (0..FOURS.len()).filter(|&low| inner(low) <= bound) {
+        let cost = whole(low);
         if cost < best.0 {
             best = (cost, low);
         }

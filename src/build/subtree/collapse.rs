@@ -121,8 +121,13 @@ impl Collapse<'_> {
             return self.gather(node + binary.right as usize, first, references);
         }
         let at = binary.first as usize;
-        for primitive in &self.primitives[at..at + binary.count as usize] {
-            let reference = self.order[primitive.id as usize];
+        let below = &self.primitives[at..at + binary.count as usize];
+        let numbers = below.iter().map(|primitive| self.order[primitive.id as usize]);
+        // As many primitives as triangles: all are whole.
+        if self.primitives.len() == self.order.len() {
+            return references.extend(numbers);
+        }
+        for reference in numbers {
             if !references[first..].contains(&reference) {
                 references.push(reference);
             }

@@ -25,6 +25,7 @@ mod collapse;
 mod emit;
 mod lod;
 mod octree;
+mod order;
 mod primitive;
 mod quantise;
 mod record;
@@ -121,7 +122,7 @@ pub fn build_subtree_within(
     assert!(u32::try_from(triangles.len()).is_ok(), "a brick has fewer than 2^32 triangles");
     assert!(parts.is_empty() || options.split == SplitMode::Sah, "only splits by surface know parts of triangles");
     assert!(parts.is_empty() || parts.len() == triangles.len(), "all triangles have a part, or none has");
-    let (mut order, codes) = sort(triangles, root);
+    let (mut order, codes) = order::sort(triangles, root);
     let parts = sah::Part::list(triangles, parts, &mut order);
     let canonical = sah::Canonical { triangles, order: &order, parts: &parts };
     let limits = record::RecordLimits::new(options.leaf, options.unit);
@@ -156,34 +157,4 @@ pub fn build_subtree(
     options: &SubtreeOptions,
 ) -> Subtree {
     build_subtree_within(triangles, parts, cell, root, options, u64::MAX).expect("there is no bound")
-}
-
-/// The numbers of the triangles in canonical order: by Morton code, then face; by their bits where even that is the same. And the
-/// codes, by number.
-fn sort(triangles: &[BrickTriangle], root: RootCube) -> (Vec<u32>, Vec<u64>) {
-    let codes: Vec<u64> = triangles.iter().map(|t| cell_of(root, Aabb::from(&t.triangle))).collect();
-    // Code and number in one word each. In a brick most leading bits of codes are the same, so that few of the last
-    // ones, if any, find no room; what is the same without those is put in order afterwards.
-    let differing = codes.iter().fold(0, |bits, code| bits | code ^ codes[0]);
-    let code_bits = u64::BITS - differing.leading_zeros();
-    let number_bits = usize::BITS - (triangles.len() - 1).leading_zeros();
-    let dropped = (code_bits + number_bits).saturating_sub(u64::BITS);
-    let leading = |code: u64| (code & ((1 << code_bits) - 1)) >> dropped << number_bits;
-    let mut keys: Vec<u64> = (0u64..).zip(&codes).map(|(number, &code)| leading(code) | number).collect();
-    keys.sort_unstable();
-    let mut order: Vec<u32> = keys.iter().map(|key| (key & ((1 << number_bits) - 1)) as u32).collect();
-    let corners = |t: &BrickTriangle| t.triangle.vertices().map(record::bits);
-    let compare = |a: &u32, b: &u32| {
-        let [(code, t), (other, u)] = [a, b].map(|&i| (codes[i as usize], &triangles[i as usize]));
-        (code, t.face).cmp(&(other, u.face)).then_with(|| corners(t).cmp(&corners(u))).then(a.cmp(b))
-    };
-    let mut rest = &mut order[..];
-    for run in keys.chunk_by(|a, b| a >> number_bits == b >> number_bits) {
-        let (same, after) = std::mem::take(&mut rest).split_at_mut(run.len());
-        if same.len() > 1 {
-            same.sort_unstable_by(compare);
-        }
-        rest = after;
-    }
-    (order, codes)
 }

@@ -183,6 +183,12 @@ impl Summary {
         }
         sum
     }
+
+    /// The box alone: all that is wanted of a list that is not split.
+    fn of_terminal(primitives: &[Primitive]) -> Summary {
+        let span = primitives.iter().fold(Span::EMPTY, |all, p| all.union(p.span()));
+        Summary { span, centres: Span::EMPTY, large: false }
+    }
 }
 
 impl Splitter<'_> {
@@ -196,7 +202,8 @@ impl Splitter<'_> {
         depth: u32,
         nodes: &mut Vec<BinaryNode>,
     ) -> (Costs, bool) {
-        let sum = Summary::of(&list[..count]);
+        let is_terminal = count <= TERMINAL.min(self.limits.triangles);
+        let sum = if is_terminal { Summary::of_terminal(&list[..count]) } else { Summary::of(&list[..count]) };
         let area = sum.span.half_area();
         let here = nodes.len();
         nodes.push(BinaryNode {
@@ -207,7 +214,7 @@ impl Splitter<'_> {
             count: count as u32,
             plan: Plan::default(),
         });
-        if count <= TERMINAL.min(self.limits.triangles) {
+        if is_terminal {
             return (Costs::terminal(area), true);
         }
 
