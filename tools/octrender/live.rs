@@ -161,7 +161,7 @@ mod tests {
                 Ok(())
             };
             let film = Film::new(4, 2).unwrap();
-            scope.spawn(|| renew(film, &tiles, Duration::from_millis(30), save).unwrap());
+            scope.spawn(move || renew(film, &tiles, Duration::from_millis(30), save).unwrap());
             let count = |n: usize| {
                 let start = Instant::now();
                 while saved.lock().unwrap().len() < n {
