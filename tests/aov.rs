@@ -172,21 +172,35 @@ fn reads_are_where_pages_were_not_in_memory() {
     let read = |cache| Octree::open_with(mapped.path(), octrace::map::Read::Budgeted { cache }).map(Arc::new).unwrap();
     let (small, large) = (read(cache), read(1000 * cache));
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap();
-    let [expected, mut one, mut all_of_it] =
-        [&mapped, &small, &large].map(|octree| pool.install(|| all(&with_sheet(octree.clone()), Settings::default())));
+    let settings = Settings { crop: Some([20, 20, 40, 40]), ..Settings::default() };
+    let make = |octree: &Arc<Octree>, kinds: &[AovKind]| {
+        let world = with_sheet(octree.clone());
+        pool.install(|| aovs(&world, &settings, kinds, Monitor::silent()).unwrap())
+    };
+    let [mapped_reads, one, all_of_it] = [&mapped, &small, &large].map(|octree| make(octree, &[AovKind::Reads]));
     let sum = |aovs: &[Aov]| scalars(aovs, AovKind::Reads).iter().map(|&n| f64::from(n)).sum::<f64>();
-    assert_eq!(sum(&expected), 0.0);
+    assert_eq!(sum(&mapped_reads), 0.0);
     let figures = [&small, &large].map(|octree| octree.figures());
     assert!(sum(&one) > sum(&all_of_it) && sum(&all_of_it) > 0.0, "{} {}", sum(&one), sum(&all_of_it));
-    assert!(figures[0].reread > 100 && figures[1].reread == 0, "{figures:?}");
-    assert!(sum(&all_of_it) <= figures[1].read as f64 && figures[1].read == figures[1].touched, "{figures:?}");
+    assert!(figures[0].reread > 10 && figures[1].reread == 0, "{figures:?}");
+    assert!(sum(&all_of_it) <= figures[1].read as f64, "{figures:?}");
     // Nothing is there once it is forgotten.
     large.forget();
-    let again = pool.install(|| all(&with_sheet(large.clone()), Settings::default()));
-    assert_eq!(scalars(&again, AovKind::Reads), scalars(&all_of_it, AovKind::Reads));
-    for aovs in [&mut one, &mut all_of_it] {
-        aovs.retain(|aov| aov.kind != AovKind::Reads);
-        assert!(expected.iter().filter(|aov| aov.kind != AovKind::Reads).eq(&*aovs));
+    assert_eq!(make(&large, &[AovKind::Reads]), all_of_it);
+    let kinds = AovKind::ALL.into_iter().filter(|kind| *kind != AovKind::Reads).collect::<Vec<_>>();
+    let expected = make(&mapped, &kinds);
+    for octree in [&small, &large] {
+        for (expected, aov) in expected.iter().zip(make(octree, &kinds)) {
+            if *expected == aov {
+                continue;
+            }
+            // Questions that are asked for several rays at a time are asked again, ray by ray, where a page is missing.
+            assert!(matches!(aov.kind, AovKind::Cost | AovKind::Pages), "{:?}", aov.kind);
+            let (Values::Scalar(least), Values::Scalar(work)) = (&expected.values, &aov.values) else { unreachable!() };
+            assert!(least.iter().zip(work).all(|(least, work)| least <= work), "{:?}: work is lost", aov.kind);
+            let more = least.iter().zip(work).filter(|(least, work)| least < work).count();
+            assert!(more < least.len() / 8, "{:?}: {more} of {}", aov.kind, least.len());
+        }
     }
 }
 

@@ -259,11 +259,11 @@ fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
                 Place::File(path) => output::save(&picture.film, path, tonemap)?,
             }
             if let Some((world, meshes)) = &drawn {
-                if aov.iter().any(|aov| aov.kind == AovKind::Reads) {
-                    // It shows what has to be read where nothing is there to begin with.
-                    meshes.iter().for_each(|mesh| mesh.forget());
-                }
-                aovs::write(aov, world, &settings, session)?;
+                // Where pages are read is told by a pass of its own that begins with none in memory.
+                let (reads, others): (Vec<_>, Vec<_>) = aov.iter().cloned().partition(|aov| aov.kind == AovKind::Reads);
+                aovs::write(&others, world, &settings, session)?;
+                meshes.iter().filter(|_| !reads.is_empty()).for_each(|mesh| mesh.forget());
+                aovs::write(&reads, world, &settings, session)?;
             }
             stats
         }
