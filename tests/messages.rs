@@ -5,7 +5,29 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Text in the source that is no message: parts of reports, headings, what goes into files.
-const NO_MESSAGES: [&str; 36] = [
+const NO_MESSAGES: [&str; 58] = [
+    "Frame requires too much memory for decoding",
+    "waits for pages a pixel",
+    "share … of … (… tiles),",
+    "…: … x … pixels, …… rays, … s; …; … of memory at most",
+    "…: … x … pixels from … parts",
+    "made by octrace",
+    "a picture of",
+    "a crop of",
+    "samples a pixel",
+    "and … more",
+    "While it is drawn",
+    "…: a map of …",
+    "… triangles, … …, … (… bytes a triangle)",
+    ", packed; below, bytes are those of unpacked pages",
+    "triangles a page, in percent of the most (…)",
+    "Bytes on each level of the tree",
+    "How full pages are",
+    "How full leaves are",
+    "triangles a leaf",
+    "heads of pages",
+    "headers of pages",
+    "What the bytes of the file are for",
     "octrace mesh cache",
     "depth, nine tenths of it",
     "nodes and leaves a pixel",

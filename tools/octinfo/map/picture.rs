@@ -241,7 +241,7 @@ mod tests {
         let (_folder, octree) = sheet(500, true);
         let census = Census::of(&octree, Monitor::silent()).unwrap();
         let svg = draw(&octree, &census).svg();
-        let pages = format!(">{}<", octree.header().pages);
+        let pages = format!("{} pages", HumanCount(octree.header().pages.into()));
         for text in
             ["sheet.oct", "7,200 triangles", "leaf vertices", "level of detail", "triangles a leaf", pages.as_str()]
         {
