@@ -8,6 +8,8 @@ from typing import Any, Optional, TypedDict, Union, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+__all__ = ["Octree", "__version__", "build", "from_arrays"]
+
 __version__: str
 
 @final
@@ -81,17 +83,17 @@ class Octree:
     def __len__(self) -> int:
         """The number of triangles."""
 
-class Dropped(TypedDict):
+class _Dropped(TypedDict):
     degenerate: int
     non_finite: int
     bad_index: int
     too_few_corners: int
 
-class Report(TypedDict):
+class _Report(TypedDict):
     triangles: int
     source_triangles: int
     vertices: int
-    dropped: Dropped
+    dropped: _Dropped
     bytes: int
     bytes_per_triangle: float
     pages: int
@@ -111,7 +113,7 @@ def build(
     ids: bool = True,
     lod: bool = True,
     progress: Optional[Callable[[str, float], Any]] = None,
-) -> Report:
+) -> _Report:
     """Builds an octree file from an OBJ, PLY or STL file, also .gz and .zst; returns what was built.
 
     memory: what this process may take in all, in bytes or as text like "512M", at least 64M; if not given, 1G more than it has taken.
