@@ -1,6 +1,7 @@
 //! Hostile input, as far as a test has time for: what once failed, and some thousand more. `cargo run --release --example fuzz` goes on from there.
 
 #[path = "fuzz/mod.rs"]
+#[allow(dead_code)]
 mod fuzz;
 
 use std::path::Path;

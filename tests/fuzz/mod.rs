@@ -2,6 +2,7 @@
 
 pub mod oct;
 pub mod random;
+pub mod reading;
 pub mod seeds;
 pub mod targets;
 pub mod text;

@@ -14,8 +14,9 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use clap::Parser;
-use fuzz::seeds::Seeds;
+use fuzz::seeds::{self, Seeds};
 use fuzz::targets::{self, Outcome, TARGETS};
+use fuzz::text;
 
 /// Longest that an input may take.
 const PATIENCE: Duration = Duration::from_secs(10);
@@ -46,7 +47,8 @@ struct Args {
     /// One input, given as a file, to the target
     #[arg(long)]
     file: Option<PathBuf>,
-    /// Write the inputs into this folder, a folder a target, and do nothing else with them
+    /// Write the inputs into this folder, a folder a target, with a dictionary TARGET.dict of those that are text, and do
+    /// nothing else with them
     #[arg(long)]
     seeds: Option<PathBuf>,
     #[arg(long, hide = true)]
@@ -79,8 +81,16 @@ fn write_seeds(args: &Args, folder: &Path) {
     for target in TARGETS.iter().filter(|t| args.target.as_deref().is_none_or(|name| name == t.name)) {
         let place = folder.join(target.name);
         std::fs::create_dir_all(&place).unwrap();
+        for (i, whole) in seeds.whole(target.name, scratch.path()).iter().enumerate() {
+            std::fs::write(place.join(format!("whole_{i}")), whole).unwrap();
+        }
         for number in args.first..args.first + args.inputs {
             std::fs::write(place.join(number.to_string()), seeds.input(target.name, number)).unwrap();
+        }
+        let words = seeds::words(target.name);
+        if !words.is_empty() {
+            let lines: String = words.iter().chain(&text::NUMBERS).map(|word| format!("\"{word}\"\n")).collect();
+            std::fs::write(folder.join(target.name).with_extension("dict"), lines).unwrap();
         }
     }
 }

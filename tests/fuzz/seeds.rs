@@ -124,32 +124,25 @@ pub struct Seeds {
 impl Seeds {
     /// Makes them in a folder.
     pub fn new(folder: &Path) -> Seeds {
-        let obj = folder.join("sheet.obj");
-        std::fs::write(&obj, sheet(16)).unwrap();
-        std::fs::write(folder.join("sheet.mtl"), MTL).unwrap();
-        let plain = folder.join("plain.obj");
-        let bare: String = sheet(16).lines().filter(|l| l.starts_with("v ") || l.starts_with('f')).map(bare).collect();
-        std::fs::write(&plain, bare).unwrap();
-        let base = BuildOptions { brick: Some(70), ..BuildOptions::default() };
-        let all = [
-            (&obj, base.clone()),
-            (&plain, base.clone()),
-            (&plain, BuildOptions { ids: false, ..base.clone() }),
-            (&plain, BuildOptions { positions: Positions::Grid(None), ..base.clone() }),
-            (&plain, BuildOptions { split: SplitMode::Strict, cell: 4, ..base.clone() }),
-            (&plain, BuildOptions { split: SplitMode::Octree, brick: None, ..base.clone() }),
-            (&obj, BuildOptions { compress: Some(3), ..base.clone() }),
-            (&plain, BuildOptions { brick: Some(10), ..base }),
-        ];
-        let build = |(i, (mesh, options)): (usize, (&std::path::PathBuf, BuildOptions))| {
-            let oct = folder.join(format!("{i}.oct"));
-            let mut source = octrace::mesh::open(mesh, &ReadOptions::default()).unwrap();
-            octrace::build::build(source.as_mut(), &oct, &options, Monitor::silent()).unwrap();
-            std::fs::read(&oct).unwrap()
-        };
+        let octs = octs(folder, 16, 70);
         std::fs::write(folder.join("model.obj"), OBJS[0]).unwrap();
         std::fs::write(folder.join("other.txt"), "sphere 0 0 0 1\nmat diff 1 0 0\noct 0.oct\n").unwrap();
-        Seeds { pictures: pictures(), octs: all.into_iter().enumerate().map(build).collect() }
+        Seeds { pictures: pictures(), octs }
+    }
+
+    /// What the inputs of a target are made from, as far as it is stored whole, and small octree files beside it.
+    pub fn whole(&self, target: &str, folder: &Path) -> Vec<Vec<u8>> {
+        let texts = |all: &[&str]| all.iter().map(|text| text.as_bytes().to_vec()).collect();
+        match target {
+            "obj" => texts(&OBJS),
+            "mtl" => texts(&[MTL]),
+            "ply" => texts(&[PLY]),
+            "stl" => texts(&[STL]),
+            "scene" => texts(&SCENES),
+            "texture" => self.pictures.clone(),
+            "oct" => octs(folder, 4, 8),
+            _ => Vec::new(),
+        }
     }
 
     /// The input of that number for a target: the same for ever.
@@ -194,6 +187,46 @@ impl Seeds {
             _ => rays(&mut random),
         }
     }
+}
+
+/// The words that mean something to a target that reads text, for a dictionary; none for the others.
+pub fn words(target: &str) -> &'static [&'static str] {
+    match target {
+        "obj" => &OBJ_WORDS,
+        "mtl" => &MTL_WORDS,
+        "ply" => &PLY_WORDS,
+        "stl" => &STL_WORDS,
+        "scene" => &SCENE_WORDS,
+        _ => &[],
+    }
+}
+
+/// Octree files of a sheet of 2 n^2 triangles, `brick` to a page: one of each kind. They are in the folder afterwards, with their meshes.
+fn octs(folder: &Path, n: usize, brick: u32) -> Vec<Vec<u8>> {
+    let obj = folder.join("sheet.obj");
+    std::fs::write(&obj, sheet(n)).unwrap();
+    std::fs::write(folder.join("sheet.mtl"), MTL).unwrap();
+    let plain = folder.join("plain.obj");
+    let bare: String = sheet(n).lines().filter(|l| l.starts_with("v ") || l.starts_with('f')).map(bare).collect();
+    std::fs::write(&plain, bare).unwrap();
+    let base = BuildOptions { brick: Some(brick), ..BuildOptions::default() };
+    let all = [
+        (&obj, base.clone()),
+        (&plain, base.clone()),
+        (&plain, BuildOptions { ids: false, ..base.clone() }),
+        (&plain, BuildOptions { positions: Positions::Grid(None), ..base.clone() }),
+        (&plain, BuildOptions { split: SplitMode::Strict, cell: 4, ..base.clone() }),
+        (&plain, BuildOptions { split: SplitMode::Octree, brick: None, ..base.clone() }),
+        (&obj, BuildOptions { compress: Some(3), ..base.clone() }),
+        (&plain, BuildOptions { brick: Some(10), ..base }),
+    ];
+    let build = |(i, (mesh, options)): (usize, (&std::path::PathBuf, BuildOptions))| {
+        let oct = folder.join(format!("{i}.oct"));
+        let mut source = octrace::mesh::open(mesh, &ReadOptions::default()).unwrap();
+        octrace::build::build(source.as_mut(), &oct, &options, Monitor::silent()).unwrap();
+        std::fs::read(&oct).unwrap()
+    };
+    all.into_iter().enumerate().map(build).collect()
 }
 
 /// A line of OBJ without all but positions.
@@ -279,7 +312,14 @@ fn spoil_picture(bytes: &mut Vec<u8>, random: &mut Random) {
         }
     }
     spoil(bytes, random);
-    if !bytes.starts_with(b"\x89PNG") || random.once_in(2) {
+    if !random.once_in(2) {
+        repair_png(bytes);
+    }
+}
+
+/// Makes the checksums of a PNG's chunks right; other formats stay as they are.
+pub fn repair_png(bytes: &mut [u8]) {
+    if !bytes.starts_with(b"\x89PNG") {
         return;
     }
     let mut at: usize = 8;

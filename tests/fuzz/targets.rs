@@ -14,6 +14,8 @@ use octrace::trace::{
 };
 use octrace::{Error, Monitor};
 
+use super::reading;
+
 /// A name, and what is done with the bytes in a folder of its own.
 pub struct Target {
     pub name: &'static str,
@@ -47,11 +49,6 @@ pub const TARGETS: [Target; 9] = [
     Target { name: "rays", run: rays },
 ];
 
-/// Longest line and most memory for hostile meshes.
-fn reading(lenient: bool) -> ReadOptions {
-    ReadOptions { lenient, block: 64 << 10, longest_line: 1 << 20, material_memory: 1 << 20, ..ReadOptions::default() }
-}
-
 /// Every message must say something, and never ends in a line break.
 fn told(error: &Error) -> Outcome {
     let text = error.to_string();
@@ -59,14 +56,15 @@ fn told(error: &Error) -> Outcome {
     Outcome::Refused
 }
 
-/// A mesh is built and, where that succeeds, the file must be sound and hold what the report says.
+/// A mesh is read, built and, where that succeeds, the file must be sound and hold what the report says.
 fn mesh(bytes: &[u8], path: PathBuf) -> Outcome {
     std::fs::write(&path, bytes).unwrap();
+    reading::check(&path);
     let oct = path.with_extension("oct");
     let mut outcome = Outcome::Refused;
     for lenient in [false, true] {
         let options = BuildOptions { brick: Some(100), memory: 64 << 20, ..BuildOptions::default() };
-        let built = octrace::mesh::open(&path, &reading(lenient))
+        let built = octrace::mesh::open(&path, &reading::options(lenient))
             .and_then(|mut source| octrace::build::build(source.as_mut(), &oct, &options, Monitor::silent()));
         match built {
             Ok(report) => {
@@ -98,9 +96,35 @@ fn stl(bytes: &[u8], folder: &Path) -> Outcome {
 
 /// OBJ, compressed in one way or another.
 fn archive(bytes: &[u8], folder: &Path) -> Outcome {
-    let suffix = if bytes.starts_with(&[0x1f, 0x8b]) { "gz" } else { "zst" };
-    mesh(bytes, folder.join(format!("packed.obj.{suffix}")))
+    mesh(bytes, folder.join(packed_name(bytes)))
 }
+
+fn packed_name(bytes: &[u8]) -> &'static str {
+    if bytes.starts_with(&[0x1f, 0x8b]) { "packed.obj.gz" } else { "packed.obj.zst" }
+}
+
+/// Only reads a mesh, in the targets that build one; false for the others.
+pub fn only_read(target: &str, bytes: &[u8], folder: &Path) -> bool {
+    let (name, bytes) = match target {
+        "obj" => ("mesh.obj", bytes),
+        "ply" => ("mesh.ply", bytes),
+        "stl" => ("mesh.stl", bytes),
+        "archive" => (packed_name(bytes), bytes),
+        "mtl" => {
+            std::fs::write(folder.join("a.mtl"), bytes).unwrap();
+            ("mesh.obj", MTL_MESH)
+        }
+        _ => return false,
+    };
+    let path = folder.join(name);
+    std::fs::write(&path, bytes).unwrap();
+    reading::check(&path);
+    true
+}
+
+/// A mesh that uses materials.
+const MTL_MESH: &[u8] =
+    b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl red\nf 1/1 2/1 3/1\nusemtl glass\nf 3/1 2/1 1/1\n";
 
 /// A picture on a mesh that is drawn. Formats are known by their first bytes; what has none that are known is taken for TGA.
 fn texture(bytes: &[u8], folder: &Path) -> Outcome {
@@ -127,9 +151,7 @@ fn texture(bytes: &[u8], folder: &Path) -> Outcome {
 /// Materials of a mesh that uses some.
 fn mtl(bytes: &[u8], folder: &Path) -> Outcome {
     std::fs::write(folder.join("a.mtl"), bytes).unwrap();
-    let text =
-        b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl red\nf 1/1 2/1 3/1\nusemtl glass\nf 3/1 2/1 1/1\n";
-    let taken = mesh(text, folder.join("mesh.obj"));
+    let taken = mesh(MTL_MESH, folder.join("mesh.obj"));
     if taken == Outcome::Taken {
         let mut scene = Scene::for_mesh(folder.join("mesh.oct"), true);
         scene.size = [4, 4];

@@ -2,7 +2,8 @@
 
 use super::random::Random;
 
-const NUMBERS: [&str; 25] = [
+/// Numbers that break things.
+pub const NUMBERS: [&str; 25] = [
     "0",
     "-0",
     "1",

@@ -1,10 +1,5 @@
 #![no_main]
 
-#[path = "../../mod.rs"]
-#[allow(dead_code)]
-mod fuzz;
+mod common;
 
-libfuzzer_sys::fuzz_target!(|data: &[u8]| {
-    let folder = tempfile::tempdir().unwrap();
-    (fuzz::targets::named("archive").run)(data, folder.path());
-});
+libfuzzer_sys::fuzz_target!(|data: &[u8]| common::run("archive", data));
