@@ -4,7 +4,7 @@
 //! follows from how large leaves will be: those of a surface of T triangles, some 9 in each, are about 6 / sqrt(T) of the mesh wide.
 
 use crate::format::Points;
-use crate::geometry::Aabb;
+use crate::geometry::{Aabb, exp2};
 
 /// Which positions are stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -51,7 +51,7 @@ impl Snap {
                 let fine = (extent.log2().floor() as i32).saturating_sub(steps as i32);
                 // Numbers of 24 bits, as f32 has; what lies far from zero has no finer digits anyway.
                 let least = (f64::from(farthest).log2().floor() as i32).saturating_sub(23);
-                (extent > 0.0 && extent.is_finite()).then(|| Snap { step: 2f64.powi(fine.max(least)) })
+                (extent > 0.0 && extent.is_finite()).then(|| Snap { step: exp2(fine.max(least)) })
             }
         }
     }

@@ -3,6 +3,7 @@
 use std::cmp::Ordering;
 
 use super::expansion::Expansion;
+use crate::geometry::exp2;
 
 /// `num / den` with `den` not zero, exactly.
 #[derive(Clone, Debug)]
@@ -34,7 +35,7 @@ impl Quotient {
     pub fn interval(&self) -> [f64; 2] {
         // Two estimates within 2^-50 each and one division: 2^-48 covers them and the roundings here.
         let q = self.num.estimate() / self.den.estimate();
-        let slack = q.abs() * 2f64.powi(-48);
+        let slack = q.abs() * exp2(-48);
         [q - slack, q + slack]
     }
 

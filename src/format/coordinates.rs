@@ -6,6 +6,8 @@
 
 use std::ops::RangeInclusive;
 
+use crate::geometry::exp2;
+
 /// The whole numbers a coordinate may be, in steps: those that f32 holds, without a gap.
 pub(super) const WHOLE: RangeInclusive<i32> = -(1 << 24)..=1 << 24;
 
@@ -107,7 +109,7 @@ impl Steps {
 /// How many steps of 2^`exponent` a finite f32 that is a multiple of it is; `None` if they are not [`WHOLE`].
 fn whole(bits: u32, exponent: i32) -> Option<i32> {
     // Exact: exponents of f64 go far enough.
-    let steps = f64::from(f32::from_bits(bits)) * 2f64.powi(-exponent);
+    let steps = f64::from(f32::from_bits(bits)) * exp2(-exponent);
     let n = steps as i32;
     (f64::from(n) == steps && WHOLE.contains(&n)).then_some(n)
 }
@@ -132,7 +134,7 @@ mod tests {
     fn the_largest_step_is_taken() {
         assert_eq!(steps(&[[8.0, -4.0, 0.0], [8.5, -3.0, 0.0]]), Some(Steps { base: [16, -8, 0], exponent: -1 }));
         assert_eq!(steps(&[[0.0; 3]]), Some(Steps { base: [0; 3], exponent: 0 }));
-        assert_eq!(steps(&[[2f32.powi(127), 0.0, 0.0]]), Some(Steps { base: [1 << 24, 0, 0], exponent: 103 }));
+        assert_eq!(steps(&[[exp2(127) as f32, 0.0, 0.0]]), Some(Steps { base: [1 << 24, 0, 0], exponent: 103 }));
         assert_eq!(steps(&[[f32::MIN_POSITIVE, 0.0, 0.0]]).unwrap().exponent, -126);
     }
 
@@ -158,7 +160,7 @@ mod tests {
                 prop_assert!(!(-126..=103).contains(&lowest_bit(bits).unwrap()));
                 return Ok(());
             };
-            let scale = 2f32.powi(steps.exponent.into());
+            let scale = exp2(steps.exponent.into()) as f32;
             prop_assert_eq!(decoded(steps.step(1, bits), steps.base[1], scale).to_bits(), bits);
         }
     }

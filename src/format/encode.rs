@@ -140,7 +140,9 @@ mod tests {
         let step = (-130i32..105, -70_000i32..70_000);
         let whole = move || prop::collection::vec([0i32..60_000, 0i32..70_000, 0i32..60_000], 1..40);
         let grid = (whole(), step).prop_map(|(list, (exponent, base))| {
-            list.iter().map(|n| Vec3::from_array(n.map(|n| ((n + base) as f64 * 2f64.powi(exponent)) as f32))).collect()
+            list.iter()
+                .map(|n| Vec3::from_array(n.map(|n| ((n + base) as f64 * crate::geometry::exp2(exponent)) as f32)))
+                .collect()
         });
         prop_oneof![prop::collection::vec(vertex(), 1..40), grid]
     }

@@ -51,8 +51,9 @@ impl RootCube {
     }
 }
 
-/// 2^k as f64, exact for every k from -1022 to 1023.
-fn exp2(k: i32) -> f64 {
+/// 2^k as f64, exact for every k from -1022 to 1023; what `powi` and `exp2` of the standard library give is nowhere promised.
+#[inline(always)]
+pub(crate) fn exp2(k: i32) -> f64 {
     f64::from_bits(((k + 1023) as u64) << 52)
 }
 

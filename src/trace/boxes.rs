@@ -5,7 +5,7 @@ use std::collections::HashSet;
 use crate::error::Result;
 use crate::exact::touches_box;
 use crate::format::{Flags, Frame, Leaf, Node, PageId, Slot};
-use crate::geometry::{Aabb, FaceId, Triangle};
+use crate::geometry::{Aabb, FaceId, Triangle, exp2};
 use crate::map::{Octree, Page};
 
 /// A triangle and where it is stored.
@@ -68,7 +68,7 @@ struct Region {
 impl Region {
     fn new(octree: &Octree, bounds: Aabb) -> Region {
         let (min, max) = (octree.root().to_root_units(bounds.min), octree.root().to_root_units(bounds.max));
-        let widen = |x: f64| (x.abs() + 1.0) * 2f64.powi(-48);
+        let widen = |x: f64| (x.abs() + 1.0) * exp2(-48);
         Region { min: min.to_array().map(|x| x - widen(x)), max: max.to_array().map(|x| x + widen(x)) }
     }
 

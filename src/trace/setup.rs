@@ -39,7 +39,7 @@ use bytemuck::Zeroable;
 use super::arch::{Aim, Fit, Kernel, Way};
 use crate::exact::Expansion;
 use crate::format::Frame;
-use crate::geometry::{Aabb, Ray, RootCube};
+use crate::geometry::{Aabb, Ray, RootCube, exp2};
 
 /// What all rays of a file share.
 #[derive(Clone, Debug)]
@@ -95,12 +95,6 @@ struct Start {
     enter: f64,
     exit: f64,
     tau: f64,
-}
-
-/// 2^k for -1022 <= k <= 1023.
-#[inline(always)]
-fn exp2(k: i32) -> f64 {
-    f64::from_bits(((k + 1023) as u64) << 52)
 }
 
 /// floor(log2(x)) of a normal, positive f64 (every positive f32 is one).

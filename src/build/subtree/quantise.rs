@@ -8,6 +8,7 @@
 
 use super::wide::Bounds;
 use crate::format::{Frame, Node};
+use crate::geometry::exp2;
 
 /// Units to spare on each side: the 1/64 that FORMAT.md asks for, and more than the rounding of root units (2^-53, which
 /// is 2^-21 of the least unit).
@@ -31,7 +32,7 @@ pub(super) fn brick_frame(bounds: Bounds) -> Frame {
     let (min, max) = (bounds.min.to_array(), bounds.max.to_array());
     let axis_frame = |axis: usize| {
         let at = |exponent: i32| {
-            let unit = f64::powi(2.0, exponent);
+            let unit = exp2(exponent);
             let steps = ((min[axis] - MARGIN * unit) * GRID).floor();
             (steps.clamp(0.0, GRID - 1.0) / GRID, unit)
         };

@@ -5,7 +5,7 @@ use std::marker::PhantomData;
 use std::ops::Deref;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU32, AtomicU64};
 
-use memmap2::{MmapOptions, MmapRaw};
+use memmap2::MmapRaw;
 
 /// What an array may hold: zero bytes are a value of it, and sharing it between threads is sound.
 pub(crate) trait Atom: Sync + sealed::Sealed {}
@@ -34,8 +34,7 @@ impl<T: Atom> Blank<T> {
     /// An array of that length. Errors: no room for it among the addresses.
     pub(crate) fn new(length: usize) -> io::Result<Blank<T>> {
         let bytes = length.max(1).checked_mul(size_of::<T>()).ok_or(io::ErrorKind::OutOfMemory)?;
-        let memory = MmapRaw::from(MmapOptions::new().len(bytes).no_reserve_swap().map_anon()?);
-        Ok(Blank { memory, length, of: PhantomData })
+        Ok(Blank { memory: super::reserve(bytes)?, length, of: PhantomData })
     }
 }
 
