@@ -11,14 +11,14 @@ pub fn options(lenient: bool) -> ReadOptions {
     ReadOptions { lenient, block: 64 << 10, longest_line: 1 << 20, material_memory: 1 << 20, ..ReadOptions::default() }
 }
 
-/// Reads a mesh strictly and leniently, each in one piece and in seven: both must give the same, be it an error.
+/// Reads a mesh strictly and leniently, each in one piece and in three: both must give the same, be it an error.
 pub fn check(path: &Path) {
     let bytes = std::fs::metadata(path).unwrap().len() as usize;
     for lenient in [false, true] {
         let whole = options(lenient);
-        let pieces = ReadOptions { block: bytes / 7 + 1, ..whole };
+        let pieces = ReadOptions { block: bytes / 3 + 1, ..whole };
         let [whole, pieces] = [whole, pieces].map(|options| read(path, &options).map_err(|error| error.to_string()));
-        assert!(whole == pieces, "in one piece {whole:?}, in seven {pieces:?}");
+        assert!(whole == pieces, "in one piece {whole:?}, in three {pieces:?}");
     }
 }
 

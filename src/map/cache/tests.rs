@@ -16,8 +16,7 @@ fn sample() -> (tempfile::TempDir, PathBuf, Vec<Vec<u8>>) {
     Sample::new(if cfg!(miri) { 100 } else { 3000 }, Flags::IDS, 8).write(&path);
     // Miri maps no files.
     let octree = if cfg!(miri) { budgeted(&path, 8) } else { Octree::open(&path).unwrap() };
-    let visit = octree.visit();
-    let pages = (0..8).map(|i| visit.page(PageId(i)).unwrap().bytes().to_vec()).collect();
+    let pages = (0..8).map(|i| octree.with_page(PageId(i), |page| page.bytes().to_vec()).unwrap()).collect();
     (folder, path, pages)
 }
 
