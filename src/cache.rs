@@ -363,7 +363,7 @@ mod tests {
         assert_eq!(open(&mesh, &user).err().map(|e| e.kind()), Some(crate::Kind::Input));
         fs::write(&mesh, "v 0 0 0\n").unwrap();
         let message = open(&mesh, &user).err().unwrap().to_string();
-        assert!(message.ends_with("a.obj: holds no triangles"), "{message}");
+        assert!(message.ends_with("a.obj: holds no triangles; name a mesh that has faces"), "{message}");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

@@ -115,7 +115,7 @@ impl BuildOptions {
             return wrong("the step of the grid is not a positive number".into());
         }
         if self.memory < Self::LEAST_MEMORY {
-            return wrong(format!("{} bytes of memory are too few; at least 64 MiB are needed", self.memory));
+            return wrong(format!("{} bytes of memory are too few; allow at least 64 MiB (--memory 64M)", self.memory));
         }
         if !self.origin.iter().all(|x| x.is_finite()) {
             return wrong("the origin is not finite".into());

@@ -61,9 +61,10 @@ pub(super) fn build_tuned(
 
     let found = if options.resume { taken_up(&work, options, tuning) } else { None };
     if options.resume && found.is_none() {
-        monitor.warn(
-            "there is no unfinished build of this mesh with these options, and no more memory, to go on with; it begins anew",
-        );
+        monitor.warn(format!(
+            "{}: there is no unfinished build of this mesh with these options, or it had more memory; it begins anew",
+            output.display()
+        ));
     }
     let joined = |scan, phases: &mut _| join_all(scan, (&work, output), options, tuning, phases, monitor);
     let Triangles { mesh, stage, state } = match found {

@@ -321,7 +321,7 @@ fn nothing_to_build_is_an_error_that_says_why() {
     let error = build_in(folder.path(), &mesh, &BuildOptions::default(), &roomy()).unwrap_err();
     assert!(error.to_string().contains("holds no triangles that can be hit (dropped: 2 of zero area"), "{error}");
     let error = build_in(folder.path(), &Memory::default(), &BuildOptions::default(), &roomy()).unwrap_err();
-    assert_eq!(error.to_string(), "the mesh: holds no triangles");
+    assert_eq!(error.to_string(), "the mesh: holds no triangles; name a mesh that has faces");
     assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
 }
 

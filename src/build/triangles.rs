@@ -19,7 +19,7 @@ use super::record::Layout;
 use super::room::{Growth, check_after, check_before};
 use super::scan::{Scan, scan};
 use super::scanned;
-use super::snap::Snap;
+use super::snap::{Positions, Snap};
 use super::spool::Spool;
 use super::work::WorkFolder;
 
@@ -181,15 +181,23 @@ fn check_joined(tally: &Tally, options: &BuildOptions, monitor: Monitor<'_>) -> 
                 dropped.degenerate, dropped.non_finite, dropped.bad_index, dropped.too_few_corners
             );
         }
-        if let Some(origin) = suggestion(tally, options) {
-            what += &format!("; it lies far from zero, where single precision merges vertices: try --origin {origin}");
-        }
+        what += &match suggestion(tally, options) {
+            Some(origin) => {
+                format!("; it lies far from zero, where single precision merges vertices: try --origin {origin}")
+            }
+            None if dropped.degenerate > 0 && options.positions != Positions::Exact => {
+                String::from("; the step of the grid may be too large for it: give a smaller one, or none")
+            }
+            None if dropped != Default::default() => String::from("; mend them in the program that made the mesh"),
+            None => String::from("; name a mesh that has faces"),
+        };
         return Err(Error::Input { file: options.source_name(), what });
     }
     warn_if_merged(tally, options, monitor);
     if tally.polygons.fanned > 0 {
         monitor.warn(format!(
-            "{} faces have more than {CLIP_LIMIT} corners and were cut as fans, which overlap where a face is concave",
+            "{} faces have more than {CLIP_LIMIT} corners and were cut as fans, which overlap where a face is concave; \
+             cut them in the program that made the mesh if they are",
             tally.polygons.fanned
         ));
     }

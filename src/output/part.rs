@@ -253,7 +253,8 @@ fn begin(path: &Path) -> Result<(Part, Reader<BufReader<Limited>>)> {
     }
     let left = Rc::new(Cell::new(MOST_HEAD));
     let limited = Limited { file, left: left.clone() };
-    let reader = exr::block::read(BufReader::new(limited), false).map_err(|e| wrong(&e.to_string()))?;
+    let reader = exr::block::read(BufReader::new(limited), false)
+        .map_err(|e| wrong(&format!("it cannot be read as EXR ({e})")))?;
     let [header] = reader.headers() else { return Err(wrong("it has several layers")) };
     let text = header.own_attributes.other.get(&Text::from(ATTRIBUTE));
     let Some(AttributeValue::Text(text)) = text else {

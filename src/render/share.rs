@@ -79,7 +79,9 @@ impl Tiling {
         let side = SIDES.into_iter().find(|side| count(*side) >= TILES * u64::from(share.of)).unwrap_or(least);
         if count(side) < u64::from(share.of) {
             let (tiles, of) = (count(side), share.of);
-            let what = format!("a picture of {width} x {height} pixels has {tiles} tiles, too few for {of} shares");
+            let what = format!(
+                "a picture of {width} x {height} pixels has {tiles} tiles, too few for {of} shares; take at most {tiles}"
+            );
             return Err(Error::Option(what));
         }
         let order = hilbert::order(width.div_ceil(side), height.div_ceil(side));

@@ -113,7 +113,8 @@ impl World {
         }
         if pixels > 0.0 && !self.scene.octree {
             return Err(Error::Option(
-                "level of detail needs the octree, which the scene turns off (`oct off`)".into(),
+                "level of detail needs the octree, which the scene turns off: leave out --lod, or `oct off` in the scene"
+                    .into(),
             ));
         }
         for mesh in &mut self.meshes {

@@ -52,9 +52,10 @@ impl Walker<'_> {
     /// Refuses files whose pages come and go.
     fn mapped_only(&self) -> Result<()> {
         match self.octree().is_budgeted() {
-            true => {
-                Err(Error::Option("rays can be traced in f32 alone only in a mapped file, not a packed one".into()))
-            }
+            true => Err(Error::Option(
+                "rays can be traced in f32 alone only in a mapped file, not a packed one: build it without --compress"
+                    .into(),
+            )),
             false => Ok(()),
         }
     }

@@ -417,6 +417,40 @@ fn a_missing_folder_is_named_before_any_work() {
         let error = lab.fails(4, tool, args);
         assert!(error.contains("cannot create: there is no folder no; make it first"), "{error}");
     }
+    // Not after hours of building.
+    assert!(!lab.path("a.oct").exists());
+}
+
+#[test]
+fn what_no_mesh_can_be_is_told_by_what_it_is() {
+    let lab = Lab::with_ball();
+    std::fs::create_dir(lab.path("meshes")).unwrap();
+    for (input, told) in [("meshes", "meshes: this is a folder; "), ("ball.oct", "ball.oct: this is an octree file")] {
+        let error = lab.fails(2, "octbuild", &[input, "-o", "a.oct"]);
+        assert!(error.contains(told), "{error}");
+    }
+    let error = lab.fails(4, "octbuild", &["ball.obj", "-o", "meshes"]);
+    assert!(error.contains("meshes: cannot create: this is a folder; name a file in it"), "{error}");
+}
+
+#[test]
+fn a_grid_on_which_nothing_is_left_is_told() {
+    let lab = Lab::with_ball();
+    let error = lab.fails(2, "octbuild", &["ball.obj", "-o", "a.oct", "--positions", "grid:8"]);
+    assert!(error.contains("of zero area") && error.contains("the step of the grid may be too large"), "{error}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn threads_that_cannot_be_had_are_told() {
+    let lab = Lab::with_ball();
+    let script = format!("ulimit -v 400000; exec {} ball.oct", tool_path("octinfo").display());
+    let mut command = std::process::Command::new("sh");
+    let output =
+        command.args(["-c", &script]).env("RAYON_NUM_THREADS", "1000").current_dir(lab.path("")).output().unwrap();
+    let error = told(&output);
+    assert_eq!(output.status.code(), Some(2), "{error}");
+    assert!(error.contains("cannot start a thread for each processor") && error.contains("--threads"), "{error}");
 }
 
 #[test]

@@ -103,7 +103,7 @@ pub fn is_special(path: &Path) -> bool {
 /// Refuses, before any work is done, a place where a finished file could not be put.
 pub fn check(path: &Path) -> Result<(), Error> {
     if path.is_dir() {
-        return Err(Error::io(path, "create")(std::io::ErrorKind::IsADirectory.into()));
+        return Err(Error::create(path)(std::io::ErrorKind::IsADirectory.into()));
     }
     if !folder(path).is_dir() {
         return Err(Error::create(path)(std::io::ErrorKind::NotFound.into()));

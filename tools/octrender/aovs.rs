@@ -29,14 +29,15 @@ pub fn parse(text: &str) -> Result<AovFile, String> {
 
 /// Whether all can be written: asked before any work is done.
 pub fn check(aovs: &[AovFile], picture: &Place, input: &Path) -> Result<()> {
-    let twice =
-        |path: &Path, what: &str| Err(Error::Option(format!("{}: --aov would write over {what}", path.display())));
+    let twice = |path: &Path, what: &str| {
+        Err(Error::Option(format!("{}: --aov would write over {what}; name another file", path.display())))
+    };
     for (i, AovFile { path, .. }) in aovs.iter().enumerate() {
-        AovFormat::of(path)?;
-        cli::output::check(path)?;
         if cli::output::same_place(path, input) {
             return twice(path, "the input");
         }
+        AovFormat::of(path)?;
+        cli::output::check(path)?;
         if matches!(picture, Place::File(other) if cli::output::same_place(other, path)) {
             return twice(path, "the picture");
         }

@@ -19,7 +19,10 @@ pub fn assemble(paths: &[PathBuf], output: Option<&Path>, session: &Session<'_>)
         return Err(Error::Option("--assemble needs parts, and -o IMAGE".into()));
     };
     if let Some(part) = paths.iter().find(|part| cli::output::same_place(part, output)) {
-        return Err(Error::Option(format!("{}: the picture would be written over a part", part.display())));
+        return Err(Error::Option(format!(
+            "{}: the picture would be written over a part; name another file",
+            part.display()
+        )));
     }
     let place = Place::choose(Some(output), None, first)?;
     let monitor = session.monitor();
@@ -49,7 +52,10 @@ fn whole<'a>(first: &'a Part, parts: &[Part]) -> Result<&'a Identity> {
     let mut wrong = Vec::new();
     for part in parts {
         if let Some(what) = difference(first, part) {
-            wrong.push(format!("{} is of another picture than {}: {what}", part.path.display(), first.path.display()));
+            let [this, other] = [part, first].map(|part| part.path.display());
+            wrong.push(format!(
+                "{this} is of another picture than {other}: {what}; make both of one scene, with the same options"
+            ));
         }
     }
     if wrong.is_empty() {

@@ -38,7 +38,7 @@ use statistics::Stats;
 #[derive(Parser)]
 #[command(name = "octrender", version, after_help = EXAMPLES)]
 struct Args {
-    /// What to draw: a scene file (`-`: standard input), an octree file, or an OBJ file
+    /// What to draw: a scene file (`-`: standard input), an octree file, or a mesh (OBJ, PLY, STL, also .gz and .zst)
     #[arg(value_name = "SCENE.txt|MODEL.oct|MODEL.obj", required_unless_present = "assemble")]
     input: Option<PathBuf>,
     /// The picture: PNG, EXR, HDR and others by suffix
@@ -91,7 +91,7 @@ struct PictureArgs {
     /// Let parts of a mesh smaller than so many pixels stand for their triangles [default: 0]
     ///
     /// Faster from afar, fewer pages read, and off by at most that, which is told; 0 is exact.
-    #[arg(long, value_name = "PX", value_parser = pixel_error)]
+    #[arg(long, value_name = "PX", value_parser = pixel_error, allow_negative_numbers = true)]
     lod: Option<f64>,
 }
 
@@ -122,15 +122,20 @@ fn pixel_error(text: &str) -> std::result::Result<f64, String> {
 
 const EXAMPLES: &str = "\
 Ctrl-C writes what is done so far; a second Ctrl-C ends at once.
-An OBJ file is built into an octree file once, which is reused while the OBJ file does not change.
+A mesh is built into an octree file once, which is reused while the mesh does not change.
 
 Examples:
-  octrender bunny.oct                                 a picture bunny.png, nothing else to say
-  octrender scenes/mirror_room.txt -o room.png --size 1920x1080 --samples 16
+  octbench mesh -n 1e5 -o planet.obj                  a mesh to try things with
+  octrender planet.obj                                a picture planet.png, nothing else to say
+  octbuild planet.obj -o planet.oct
+  octrender planet.oct -o large.png --size 1920x1080 --samples 16
+  octrender planet.oct --memory 128M                  a file of any size, never above 128 MiB of memory
+  octrender planet.oct --size 64x64 --lod 1 -o far.png
+                                                      far away: nodes under a pixel stand for their triangles
+  printf 'frame 1 -1 -2\\nsun -1 -2 -1 1\\nmat diff 1 0.8 0.6\\noct planet.oct\\n' > scene.txt
+                                                      a scene file; SCENE.md has the language
   octrender scene.txt -o light.exr                    linear light, unclamped
-  octrender huge.oct --memory 512M                    a file of any size, never above 512 MiB of memory
-  octrender planet.oct --lod 1                        far away: nodes under a pixel stand for their triangles
-  octrender scene.txt --crop 400,300,500,400 --samples 64 -o detail.png
+  octrender scene.txt --crop 200,200,300,300 --samples 64 -o detail.png
   octrender scene.txt --aov depth=depth.exr --aov cost=cost.png
   octrender scene.txt --watch --preview 2             again whenever a file of it changes; what is done, every 2 s
   octrender scene.txt --shard 0/2                     the first of two shares: scene.part-0-of-2.exr
@@ -138,7 +143,7 @@ Examples:
   octrender --assemble scene.part-*-of-2.exr -o scene.png
 
 Files:
-  MODEL.obj.cache.oct  the octree file of MODEL.obj, beside it or, where that cannot be written, in the user's cache folder
+  MODEL.obj.cache.oct  the octree file of a mesh MODEL.obj, beside it or, where that cannot be written, in the user's cache folder
   NAME.partial.png     what was done when Ctrl-C came, beside the picture NAME.png
 ";
 
@@ -153,6 +158,7 @@ fn main() -> ExitCode {
 }
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
+    args.stats.check()?;
     let Some(input) = &args.input else {
         assemble::assemble(&args.farm.assemble, args.output.as_deref(), session)?;
         return Ok(ExitCode::SUCCESS);
@@ -161,7 +167,9 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
         return draw(args, input, session);
     }
     if cli::args::is_stdio(input) || args.output.as_deref().is_some_and(cli::args::is_stdio) {
-        return Err(Error::Option("--watch draws from files into files, not by standard input or output".into()));
+        return Err(Error::Option(
+            "--watch draws from files into files, not by standard input or output: name files".into(),
+        ));
     }
     watch::watch(input, session, |session| draw(args, input, session))
 }
@@ -185,7 +193,9 @@ impl Goal {
         if matches!(goal, Goal::Whole(Place::Stdout)) {
             args.stats.not_stdout("the picture")?;
             if args.live.preview.is_some() {
-                return Err(Error::Option("--preview renews a file; standard output cannot be renewed".into()));
+                return Err(Error::Option(
+                    "--preview renews a file; standard output cannot be renewed: give -o IMAGE".into(),
+                ));
             }
         }
         Ok(goal)

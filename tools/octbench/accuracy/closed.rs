@@ -62,7 +62,7 @@ pub fn run(mesh: &Mesh, name: &Path, rays: u64, seed: u64, monitor: Monitor<'_>)
     let tracer = OctreeTracer::new(octree(mesh, &super::lossless())?);
     let origins = Origins { ball: mesh.ball(), inside: points_inside(mesh, seed) };
     if origins.inside.is_empty() {
-        return Err(wrong("no point inside was found".to_owned()));
+        return Err(wrong("no point inside was found: it is too thin; name another mesh".to_owned()));
     }
     monitor.phase("closed");
     let started = std::time::Instant::now();
@@ -169,7 +169,8 @@ fn edges_of_closed(mesh: &Mesh) -> std::result::Result<u64, String> {
     match open + uneven {
         0 => Ok(edges.len() as u64),
         _ => Err(format!(
-            "not a closed manifold: of {} edges {open} lie on one face, {uneven} on more than two or on two that disagree",
+            "not a closed manifold, and only such a mesh can be tested so: of {} edges {open} lie on one face, {uneven} on more than two or \
+             on two that disagree; name another mesh, or mend this one",
             edges.len()
         )),
     }
