@@ -96,8 +96,8 @@ fn run(lab: &Lab, example: &str) {
     let words: Vec<&str> = line.split_whitespace().collect();
     for pair in words.windows(2).filter(|pair| ["-o", ">"].contains(&pair[0]) && pair[1] != "-") {
         let plot = line.starts_with("octbench tradeoff");
-        let names =
-            if plot { vec![format!("{}.svg", pair[1]), format!("{}.png", pair[1])] } else { vec![pair[1].to_owned()] };
+        let name = pair[1].trim_end_matches(';');
+        let names = if plot { vec![format!("{name}.svg"), format!("{name}.png")] } else { vec![name.to_owned()] };
         for name in names {
             assert!(std::fs::metadata(lab.path(&name)).is_ok_and(|file| file.len() > 0), "{line}: no {name}");
         }
