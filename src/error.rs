@@ -157,16 +157,13 @@ impl Error {
     }
 }
 
-/// The system's own reason, where crate tempfile has put it into one that names the temporary file.
+/// The system's own reason, where crate tempfile has put the name of the temporary file behind it.
 fn plain(error: io::Error) -> io::Error {
-    let mut inner: Option<&(dyn std::error::Error + 'static)> = error.get_ref().map(|inner| inner as _);
-    while let Some(reason) = inner {
-        if let Some(code) = reason.downcast_ref::<io::Error>().and_then(io::Error::raw_os_error) {
-            return io::Error::from_raw_os_error(code);
-        }
-        inner = reason.source();
+    let text = error.to_string();
+    match text.split_once(" at path \"") {
+        Some((reason, _)) if error.get_ref().is_some() => io::Error::new(error.kind(), reason),
+        _ => error,
     }
-    error
 }
 
 #[cfg(test)]
