@@ -160,7 +160,7 @@ impl Error {
 /// The system's own reason, where crate tempfile has put the name of the temporary file behind it.
 fn plain(error: io::Error) -> io::Error {
     let text = error.to_string();
-    match text.split_once(" at path \"") {
+    match text.split_once(" at path ") {
         Some((reason, _)) if error.get_ref().is_some() => io::Error::new(error.kind(), reason),
         _ => error,
     }
