@@ -15,6 +15,7 @@
 
 mod assemble;
 mod leaf;
+mod together;
 
 use bytemuck::Zeroable;
 use glam::Vec3;
