@@ -142,8 +142,7 @@ impl Error {
             let source = match error.raw_os_error() {
                 Some(code) => io::Error::from_raw_os_error(code),
                 None if error.kind() == io::ErrorKind::NotFound => {
-                    let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-                    let what = format!("there is no folder {}; make it first", folder.display());
+                    let what = format!("there is no folder {}; make it first", folder_of(&file).display());
                     io::Error::new(io::ErrorKind::NotFound, what)
                 }
                 None => error.kind().into(),
@@ -156,6 +155,12 @@ impl Error {
     pub fn damaged(file: impl AsRef<Path>, page: Option<u32>, what: impl Into<String>) -> Error {
         Error::Damaged { file: file.as_ref().to_owned(), page, what: what.into() }
     }
+}
+
+/// The folder that a file of that name lies in: `.` for a name alone.
+#[doc(hidden)]
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]

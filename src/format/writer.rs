@@ -10,12 +10,12 @@ use std::fs::File;
 use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::part::{Part, folder};
+use super::part::Part;
 use super::{
     Brick, Flags, HEADER_BYTES, Header, MAGIC, MaterialRecord, Node, PageHeader, PageId, PageRecord, Surrogate,
     VERSION, checksum,
 };
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 
 /// Bytes gathered before they are written.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -200,7 +200,7 @@ impl OctWriter {
         file.write_all(bytemuck::bytes_of(header)).map_err(Error::io(&path, "write"))?;
         file.sync_all().map_err(Error::io(&path, "sync"))?;
         self.part.persist(&self.target).map_err(Error::io(&path, "rename its temporary file to"))?;
-        sync_folder(folder(&self.target)).map_err(Error::io(&path, "sync the folder of"))
+        sync_folder(folder_of(&self.target)).map_err(Error::io(&path, "sync the folder of"))
     }
 
     /// Writes zeros up to the next multiple.
