@@ -75,7 +75,7 @@ impl<O: Borrow<Octree>> OctreeTracer<O> {
     }
 }
 
-/// By the methods of the same names of [`Walker`], one by one: this is the border behind which nothing is generic.
+/// By the methods of the same names of `Walker`, one by one: this is the border behind which nothing is generic.
 impl<O: Borrow<Octree> + Send + Sync> Tracer for OctreeTracer<O> {
     fn closest_counted(&self, ray: &Ray, skip: Skip, counters: &mut Counters) -> Result<Option<Found>> {
         self.walker().closest_counted(ray, skip, counters)
