@@ -139,7 +139,7 @@ impl Error {
     pub fn create(file: impl AsRef<Path>) -> impl FnOnce(io::Error) -> Error {
         let file = file.as_ref().to_owned();
         move |error| {
-            let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
+            let folder = folder_of(&file);
             let source = match error.kind() {
                 kind @ io::ErrorKind::NotFound if !folder.is_dir() => {
                     io::Error::new(kind, format!("there is no folder {}; make it first", folder.display()))
@@ -164,6 +164,12 @@ fn plain(error: io::Error) -> io::Error {
         Some((reason, _)) if error.get_ref().is_some() => io::Error::new(error.kind(), reason),
         _ => error,
     }
+}
+
+/// The folder that a file of that name lies in: `.` for a name alone.
+#[doc(hidden)]
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 use crate::format::{LEAF_MAX, SplitMode};
 use crate::geometry::morton;
 
@@ -132,11 +132,7 @@ impl BuildOptions {
 
     /// The folder for temporary files of a build that writes `output`.
     pub(super) fn temp_folder(&self, output: &Path) -> PathBuf {
-        let beside = || match output.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
-            _ => PathBuf::from("."),
-        };
-        self.temp.clone().unwrap_or_else(beside)
+        self.temp.clone().unwrap_or_else(|| folder_of(output).to_owned())
     }
 
     /// The mesh's name in messages.

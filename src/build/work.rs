@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 
 /// A folder for temporary files, removed with all that is in it when the value goes. Only a process that is killed leaves it.
 pub(super) struct WorkFolder {
@@ -22,7 +22,7 @@ impl WorkFolder {
     /// Fails if nothing can be written in `temp`, which is tried, so that it is told before a long scan.
     pub fn new(temp: &Path, output: &Path, first: bool) -> Result<WorkFolder> {
         tempfile::tempfile_in(temp).map_err(Error::io(temp, "create a temporary file in this folder"))?;
-        let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let folder = folder_of(output);
         // Whatever way leads there.
         let folder =
             folder.canonicalize().or_else(|_| std::path::absolute(folder)).unwrap_or_else(|_| folder.to_owned());

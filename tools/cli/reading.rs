@@ -67,11 +67,11 @@ pub fn open(paths: &[impl AsRef<Path>], reading: &Reading) -> Result<(Vec<Octree
             return Err(Error::Input { file: path.as_ref().to_owned(), what });
         }
         let bound = reading.bound(&before)?;
-        let open = |path: &Path| match bound {
-            Some(_) => Octree::open_with(path, Read::Budgeted { cache: Octree::least_cache(path)? }),
-            None => Octree::open_with(path, Read::Mapped),
+        let open = |(path, header): (&_, &Header)| match bound {
+            Some(_) => Octree::open_with(AsRef::as_ref(path), Read::Budgeted { cache: Octree::least_of(header) }),
+            None => Octree::open_with(AsRef::as_ref(path), Read::Mapped),
         };
-        let opened = paths.iter().map(|path| open(path.as_ref())).collect::<Result<Vec<_>, _>>();
+        let opened = paths.iter().zip(&before).map(open).collect::<Result<Vec<_>, _>>();
         let now = match &opened {
             Ok(octrees) => octrees.iter().map(|octree| *octree.header()).collect(),
             Err(_) => headers()?,
