@@ -7,6 +7,7 @@
 mod aov;
 pub mod drawing;
 mod part;
+mod sheet;
 
 use std::io::{Cursor, Write};
 use std::path::Path;

@@ -21,7 +21,7 @@ use octrace::build::BuildOptions;
 use octrace::map::Octree;
 use octrace::mesh::ReadOptions;
 use octrace::output::{self, Format};
-use octrace::render::{self, AovKind, Picture, Plan, Settings, Share, Statistics, Tile};
+use octrace::render::{self, AovKind, Picture, Plan, Settings, Share, Statistics, Tile, Tiling};
 use octrace::scene::{LoadOptions, MeshFile, Scene};
 use octrace::shade::World;
 use octrace::{Error, Result, find_or_build};
@@ -85,9 +85,9 @@ struct PictureArgs {
     /// Write a picture of data too: depth, normal, position, face, material, shadow, cost, pages or reads
     ///
     /// As .exr (the numbers) or .png (false colours). Cost is the nodes and leaves visited, pages those entered, reads those that were waited for (with --memory). May be
-    /// repeated.
-    #[arg(long, value_name = "NAME=FILE", value_parser = aovs::parse)]
-    aov: Vec<AovFile>,
+    /// repeated. With --shard give NAME alone: the part takes the data; and NAME=FILE to --assemble.
+    #[arg(long, value_name = "NAME=FILE|NAME", value_parser = aovs::parse)]
+    aov: Vec<aovs::Wish>,
     /// Let parts of a mesh smaller than so many pixels stand for their triangles [default: 0]
     ///
     /// Faster from afar, fewer pages read, and off by at most that, which is told; 0 is exact.
@@ -103,16 +103,17 @@ struct Farm {
     ///
     /// The part is NAME.part-I-of-N.exr. auto/N takes I, and auto takes both, from what the scheduler says: SLURM_ARRAY_TASK_ID and its
     /// like in an array of Slurm, or JOB_COMPLETION_INDEX in an indexed job of Kubernetes, which needs auto/N.
-    #[arg(long, value_name = "I/N|auto/N|auto", value_parser = shard::parse, conflicts_with = "aov")]
+    #[arg(long, value_name = "I/N|auto/N|auto", value_parser = shard::parse)]
     shard: Option<shard::Wish>,
     /// Put the parts of a picture together; the same bytes as drawn by one machine
+    ///
+    /// With --aov NAME=FILE also the data that the parts have.
     #[arg(long, value_name = "PART", num_args = 1.., requires = "output", conflicts_with_all = ALONE)]
     assemble: Vec<PathBuf>,
 }
 
 /// What makes no sense where nothing is drawn.
-const ALONE: [&str; 11] =
-    ["input", "lenient", "size", "samples", "depth", "crop", "aov", "lod", "shard", "memory", "stats"];
+const ALONE: [&str; 10] = ["input", "lenient", "size", "samples", "depth", "crop", "lod", "shard", "memory", "stats"];
 
 /// An error in pixels: 0 or more.
 fn pixel_error(text: &str) -> std::result::Result<f64, String> {
@@ -141,6 +142,8 @@ Examples:
   octrender scene.txt --shard 0/2                     the first of two shares: scene.part-0-of-2.exr
   octrender scene.txt --shard 1/2
   octrender --assemble scene.part-*-of-2.exr -o scene.png
+  octrender scene.txt --shard 0/1 --aov depth -o part.exr     data of a share goes into its part
+  octrender --assemble part.exr -o scene.png --aov depth=depth.exr
 
 Files:
   MODEL.obj.cache.oct  the octree file of a mesh MODEL.obj, beside it or, where that cannot be written, in the user's cache folder
@@ -160,7 +163,7 @@ fn main() -> ExitCode {
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     args.stats.check()?;
     let Some(input) = &args.input else {
-        assemble::assemble(&args.farm.assemble, args.output.as_deref(), session)?;
+        assemble::assemble(&args.farm.assemble, args.output.as_deref(), &args.picture.aov, session)?;
         return Ok(ExitCode::SUCCESS);
     };
     if !args.live.watch {
@@ -176,21 +179,21 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
 
 /// What is drawn, and where it goes.
 enum Goal {
-    Whole(Place),
-    Share(Share, PathBuf),
+    Whole { place: Place, aovs: Vec<AovFile> },
+    Share { share: Share, part: PathBuf, data: Vec<AovKind> },
 }
 
 impl Goal {
     fn choose(args: &Args, input: &Path, scene: &Scene) -> Result<Goal> {
         let (wish, said) = (args.output.as_deref(), scene.output.as_deref());
-        let goal = match args.farm.shard {
-            None => Goal::Whole(Place::choose(wish, said, input)?),
-            Some(shard) => {
-                let share = shard.share()?;
-                Goal::Share(share, shard::place(wish, said, input, share)?)
-            }
-        };
-        if matches!(goal, Goal::Whole(Place::Stdout)) {
+        let aovs = &args.picture.aov;
+        if let Some(shard) = args.farm.shard {
+            let share = shard.share()?;
+            let data = aovs::for_part(aovs)?;
+            return Ok(Goal::Share { share, part: shard::place(wish, said, input, share)?, data });
+        }
+        let place = Place::choose(wish, said, input)?;
+        if place == Place::Stdout {
             args.stats.not_stdout("the picture")?;
             if args.live.preview.is_some() {
                 return Err(Error::Option(
@@ -198,13 +201,30 @@ impl Goal {
                 ));
             }
         }
-        Ok(goal)
+        let aovs = aovs::files(aovs, &place, &[input], "the input")?;
+        Ok(Goal::Whole { place, aovs })
     }
 
     fn place(&self) -> Place {
         match self {
-            Goal::Whole(place) => place.clone(),
-            Goal::Share(_, path) => Place::File(path.clone()),
+            Goal::Whole { place, .. } => place.clone(),
+            Goal::Share { part, .. } => Place::File(part.clone()),
+        }
+    }
+
+    /// How many pictures of data are made.
+    fn aovs(&self) -> usize {
+        match self {
+            Goal::Whole { aovs, .. } => aovs.len(),
+            Goal::Share { data, .. } => data.len(),
+        }
+    }
+
+    /// Bytes that writing takes beside what a plan provides for: a part is written at once, with all data of its share.
+    fn written_bytes(&self, size: [u32; 2]) -> Result<u64> {
+        match self {
+            Goal::Whole { .. } => Ok(0),
+            Goal::Share { share, data, .. } => Ok(24 * (data.len() * Tiling::new(size, *share)?.pixels()) as u64),
         }
     }
 }
@@ -213,19 +233,19 @@ fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
     let scene = load(input, args, session)?;
     let goal = Goal::choose(args, input, &scene)?;
     let place = goal.place();
-    aovs::check(&args.picture.aov, &place, input)?;
     let tonemap = scene.tonemap;
     let paths = scene.meshes.iter().map(|mesh| find(mesh, args, session)).collect::<Result<Vec<_>>>()?;
     let (meshes, bound) = reading::open(&paths, &args.reading)?;
     let meshes: Vec<Arc<Octree>> = meshes.into_iter().map(Arc::new).collect();
-    let PictureArgs { size, samples, depth, crop, lod, ref aov } = args.picture;
+    let PictureArgs { size, samples, depth, crop, lod, .. } = args.picture;
     let lod = lod.filter(|pixels| *pixels > 0.0);
     let world = World::new(scene, meshes.clone(), session.monitor())?.with_lod(lod.unwrap_or(0.0))?;
     let mut settings = Settings { size, samples, depth, crop, ..Settings::default() };
     let [width, height] = render::region(world.scene(), &settings)?;
     if let Some(memory) = bound {
         let shown = args.live.pixel_bytes() * u64::from(width) * u64::from(height);
-        let plan = plan(&world, &settings, aov.len(), lod.is_some(), shown, memory, &meshes)?;
+        let beside = shown + goal.written_bytes([width, height])?;
+        let plan = plan(&world, &settings, goal.aovs(), lod.is_some(), beside, memory, &meshes)?;
         (settings.tile, settings.wave) = (plan.tile, plan.wave);
         for mesh in &meshes {
             reading::warning(mesh.path(), mesh.header(), memory)
@@ -241,39 +261,39 @@ fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
     let shown = Shown { place: &place, size: [width, height], tonemap };
     let monitor = session.monitor();
     let stats = match &goal {
-        Goal::Share(share, path) => {
+        Goal::Share { share, part, data } => {
             let draw =
                 |watcher: &(dyn Fn(Tile<'_>) + Sync)| render::render_share(&world, &settings, *share, watcher, monitor);
-            let (portion, statistics) = args.live.show(shown, monitor, draw)?;
+            let (mut portion, statistics) = args.live.show(shown, monitor, draw)?;
             meshes.iter().try_for_each(|mesh| mesh.fault())?;
+            let stats = stats([width, height], &statistics, Some(*share));
+            portion.data = aovs::of_share(data, &world, &settings, *share, &meshes, session)?;
+            // What pages take is free for writing the part.
+            drop((world, meshes));
             monitor.phase("write");
-            output::save_part(&portion, path)?;
-            stats([width, height], &statistics, Some(*share))
+            output::save_part(&portion, part)?;
+            stats
         }
-        Goal::Whole(_) => {
+        Goal::Whole { place, aovs } => {
             let draw = |watcher: &(dyn Fn(Tile<'_>) + Sync)| render::render_shown(&world, &settings, watcher, monitor);
             let picture = args.live.show(shown, monitor, draw)?;
             meshes.iter().try_for_each(|mesh| mesh.fault())?;
             if !picture.complete {
-                return broken_off(&picture, &place, tonemap, args.live.watch, session);
+                return broken_off(&picture, place, tonemap, args.live.watch, session);
             }
             let stats = stats([width, height], &picture.statistics, None);
             let mut drawn = Some((world, meshes));
-            if aov.is_empty() {
+            if aovs.is_empty() {
                 // What pages take is free for writing the picture.
                 drawn = None;
             }
             monitor.phase("write");
-            match &place {
+            match place {
                 Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
                 Place::File(path) => output::save(&picture.film, path, tonemap)?,
             }
             if let Some((world, meshes)) = &drawn {
-                // Where pages are read is told by a pass of its own that begins with none in memory.
-                let (reads, others): (Vec<_>, Vec<_>) = aov.iter().cloned().partition(|aov| aov.kind == AovKind::Reads);
-                aovs::write(&others, world, &settings, session)?;
-                meshes.iter().filter(|_| !reads.is_empty()).for_each(|mesh| mesh.forget());
-                aovs::write(&reads, world, &settings, session)?;
+                aovs::write(aovs, world, &settings, meshes, session)?;
             }
             stats
         }
@@ -305,13 +325,13 @@ fn find(mesh: &MeshFile, args: &Args, session: &Session<'_>) -> Result<PathBuf> 
 }
 
 /// Shares the memory that is left out among waves of rays and the pages of all meshes. Each of the pictures of data takes its part too, and
-/// what there is for level of detail, if that is asked for, and what shows the picture meanwhile (`shown` bytes).
+/// what there is for level of detail, if that is asked for, and what shows the picture meanwhile or is written of it (`beside` bytes).
 fn plan(
     world: &World,
     settings: &Settings,
     aovs: usize,
     lod: bool,
-    shown: u64,
+    beside: u64,
     memory: u64,
     meshes: &[Arc<Octree>],
 ) -> Result<Plan> {
@@ -320,7 +340,7 @@ fn plan(
     let least = leasts.iter().sum::<u64>();
     let plan_for = |memory| Plan::new(world.scene(), settings, aovs, rayon::current_num_threads(), memory, least);
     let detail: u64 = if lod { meshes.iter().map(|mesh| mesh.detail_bytes()).sum() } else { 0 };
-    let beside = detail + shown;
+    let beside = detail + beside;
     let memory = memory.saturating_sub(beside);
     let plan = match reading::left_of(memory, &headers) {
         Err(taken) => Err(taken + plan_for(0)?.err().unwrap_or(0)),
