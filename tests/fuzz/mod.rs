@@ -1,6 +1,7 @@
 //! Hostile input: what it is held against (`targets`), and where it comes from (`seeds`, `oct`, `text`). tests/fuzz/README.md tells how to run it.
 
 pub mod oct;
+#[path = "../trace_common/random.rs"]
 pub mod random;
 pub mod seeds;
 pub mod targets;
