@@ -120,6 +120,16 @@ fn every_byte_and_every_length() {
 }
 
 #[test]
+fn leftovers_of_killed_builds_are_gone_on_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let outcomes = fuzz::resume::unchanged().into_iter().map(|recipe| fuzz::resume::run(&recipe, folder.path()));
+    let [mut taken, mut anew] = [0; 2];
+    outcomes.for_each(|outcome| *if outcome == Outcome::Taken { &mut taken } else { &mut anew } += 1);
+    // Before the scan is done nothing can be.
+    assert!(taken > 50 && taken > anew && anew > 0, "{taken} taken up, {anew} begun anew");
+}
+
+#[test]
 fn leftovers_of_killed_builds_that_lie() {
     let folder = tempfile::tempdir().unwrap();
     let (seeds, inputs) = (Seeds::new(folder.path()), 2 * INPUTS);

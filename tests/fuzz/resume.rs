@@ -5,6 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::path::Path;
+use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use octrace::build::build_spilling;
@@ -56,6 +57,13 @@ pub fn recipe(random: &mut Random) -> Vec<u8> {
         bytes.extend((0..CHANGE).map(|_| random.bits() as u8));
     }
     bytes
+}
+
+/// The recipes that change nothing: one for each moment of each build.
+pub fn unchanged() -> Vec<Vec<u8>> {
+    let moments =
+        |(i, build): (usize, &Build)| (0..build.moments.len()).map(move |moment| vec![i as u8, moment as u8, 0]);
+    builds().iter().enumerate().flat_map(moments).collect()
 }
 
 /// Whether a build of a recipe finds checksums that are right.
@@ -302,11 +310,11 @@ pub fn run(bytes: &[u8], folder: &Path) -> Outcome {
         std::fs::write(&output, KEPT).unwrap();
     }
     dish.serve(&folder);
-    let (stop, scanned) = (AtomicBool::new(false), AtomicBool::new(false));
-    let sink = |event: Event| {
-        if let Event::Phase { name: "scan", .. } = event {
-            scanned.store(true, Ordering::Relaxed);
-        }
+    let (stop, scanned, warnings) = (AtomicBool::new(false), AtomicBool::new(false), Mutex::new(Vec::new()));
+    let sink = |event: Event| match event {
+        Event::Phase { name: "scan", .. } => scanned.store(true, Ordering::Relaxed),
+        Event::Warning(text) => warnings.lock().unwrap().push(text),
+        _ => {}
     };
     let Build { mesh, options, whole, .. } = dish.build;
     let built = build_spilling(&mut mesh.clone(), &output, options, Monitor::new(&sink, &stop));
@@ -332,6 +340,11 @@ pub fn run(bytes: &[u8], folder: &Path) -> Outcome {
             }
             Err(error) => assert!(dish.files.contains_key("progress"), "a file that is not sound: {error}"),
         }
+    }
+    // What nobody touched is gone on with.
+    if bytes.len() < HEAD + CHANGE && dish.files.contains_key("state") {
+        let warnings = warnings.into_inner().unwrap();
+        assert!(warnings.is_empty() && !scanned.load(Ordering::Relaxed), "{warnings:?}");
     }
     // Refused is what was not gone on with.
     if scanned.into_inner() { Outcome::Refused } else { Outcome::Taken }
