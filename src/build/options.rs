@@ -181,6 +181,23 @@ pub(super) struct Tuning {
 }
 
 impl Tuning {
+    /// Sizes so small that nearly all of even a small mesh goes to files, and chunks are divided again and again.
+    pub const TINY: Tuning = Tuning {
+        block_corners: 50,
+        table_words: 0,
+        window_words: 1 << 17,
+        face_words: 100,
+        record_words: 200,
+        piece: 100,
+        chunk_bytes: 60 * 68,
+        wave_bytes: 32 << 20,
+        grid_levels: 2,
+        buffer_words: 300,
+        extents: 1 << 20,
+        noted_materials: 1 << 16,
+        top_bytes: 4 << 20,
+    };
+
     /// The sizes for `memory` bytes in all.
     ///
     /// Of what there is for the build itself (w), the source's reader takes w/4 while scanning, and materials as much; an
@@ -228,7 +245,7 @@ impl Tuning {
 
     /// Fails if the directory of so many pages does not fit.
     pub fn check_pages(&self, pages: u64) -> Result<()> {
-        if pages * PAGE_BYTES <= self.top_bytes {
+        if pages.saturating_mul(PAGE_BYTES) <= self.top_bytes {
             return Ok(());
         }
         Err(Error::Option(format!(

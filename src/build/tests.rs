@@ -126,22 +126,8 @@ fn expected(mesh: &Memory) -> Vec<Stored> {
     corners.chunks(3).enumerate().map(stored).collect()
 }
 
-/// Sizes so small that everything spills, is read through windows or answered, and chunks are divided again and again.
-pub(super) const TINY: Tuning = Tuning {
-    block_corners: 50,
-    table_words: 0,
-    window_words: 300,
-    face_words: 100,
-    record_words: 200,
-    piece: 100,
-    chunk_bytes: 60 * 68,
-    wave_bytes: 1 << 30,
-    grid_levels: 2,
-    buffer_words: 300,
-    extents: 1 << 20,
-    noted_materials: 1 << 16,
-    top_bytes: 1 << 30,
-};
+/// Sizes so small that everything spills, is answered range by range, and chunks are divided again and again.
+pub(super) const TINY: Tuning = Tuning { window_words: 300, wave_bytes: 1 << 30, top_bytes: 1 << 30, ..Tuning::TINY };
 
 /// Sizes of a build that has room.
 pub(super) fn roomy() -> Tuning {

@@ -61,7 +61,8 @@ fn open_locked(path: &Path) -> io::Result<Option<File>> {
         if file.try_lock().is_err() {
             return Ok(None);
         }
-        if is_at(&file, path) {
+        // A link would lead to somebody else's file; a pipe or a device is none.
+        if is_at(&file, path) && file.metadata()?.is_file() {
             return Ok(Some(file));
         }
     }
@@ -72,7 +73,7 @@ fn open_locked(path: &Path) -> io::Result<Option<File>> {
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
-    match (file.metadata(), fs::metadata(path)) {
+    match (file.metadata(), fs::symlink_metadata(path)) {
         (Ok(a), Ok(b)) => (a.dev(), a.ino()) == (b.dev(), b.ino()),
         _ => false,
     }

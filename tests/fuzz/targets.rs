@@ -35,7 +35,7 @@ pub enum Outcome {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 9] = [
+pub const TARGETS: [Target; 10] = [
     Target { name: "obj", run: obj },
     Target { name: "mtl", run: mtl },
     Target { name: "ply", run: ply },
@@ -45,6 +45,7 @@ pub const TARGETS: [Target; 9] = [
     Target { name: "scene", run: scene },
     Target { name: "oct", run: oct },
     Target { name: "rays", run: rays },
+    Target { name: "resume", run: super::resume::run },
 ];
 
 /// Longest line and most memory for hostile meshes.
@@ -53,7 +54,7 @@ fn reading(lenient: bool) -> ReadOptions {
 }
 
 /// Every message must say something, and never ends in a line break.
-fn told(error: &Error) -> Outcome {
+pub fn told(error: &Error) -> Outcome {
     let text = error.to_string();
     assert!(!text.trim().is_empty() && !text.ends_with('\n'), "{text:?}");
     Outcome::Refused

@@ -71,7 +71,7 @@ impl Build<'_> {
         above.iter().zip(&self.depths).map(|(above, below)| above + below).max().unwrap_or(0)
     }
 
-    fn flags(&self) -> Flags {
+    pub(super) fn flags(&self) -> Flags {
         let repeats = self.rule.placement.repeats() || self.report.references > self.report.triangles;
         let flag = |mask: u32, set: bool| if set { mask } else { 0 };
         Flags(
