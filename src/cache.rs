@@ -20,7 +20,7 @@ use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::{Xxh3, xxh3_64};
 
 use crate::build::{BuildOptions, build};
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 use crate::event::{Event, Monitor};
 use crate::format::{HEADER_BYTES, VERSION};
 use crate::map::Octree;
@@ -228,7 +228,7 @@ impl Place {
 
     /// Makes the folder if need be; whether files can be made in it.
     fn prepare(&self) -> bool {
-        let folder = folder(&self.octree);
+        let folder = folder_of(&self.octree);
         fs::create_dir_all(folder).is_ok() && tempfile::tempfile_in(folder).is_ok()
     }
 
@@ -257,7 +257,7 @@ impl Place {
         let write = || {
             // A name that says whose it is, should the process be killed here.
             let mut file =
-                tempfile::Builder::new().prefix(".octrace-").suffix(".tmp").tempfile_in(folder(&self.key))?;
+                tempfile::Builder::new().prefix(".octrace-").suffix(".tmp").tempfile_in(folder_of(&self.key))?;
             serde_json::to_writer_pretty(&mut file, key)?;
             file.write_all(b"\n")?;
             file.persist(&self.key)?;
@@ -265,10 +265,6 @@ impl Place {
         };
         write().map_err(Error::io(&self.key, "write"))
     }
-}
-
-fn folder(path: &Path) -> &Path {
-    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 /// The checksum at the end of an octree file's header page.
@@ -363,7 +359,7 @@ mod tests {
         assert_eq!(open(&mesh, &user).err().map(|e| e.kind()), Some(crate::Kind::Input));
         fs::write(&mesh, "v 0 0 0\n").unwrap();
         let message = open(&mesh, &user).err().unwrap().to_string();
-        assert!(message.ends_with("a.obj: holds no triangles"), "{message}");
+        assert!(message.ends_with("a.obj: holds no triangles; name a mesh that has faces"), "{message}");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 }

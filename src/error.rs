@@ -132,21 +132,20 @@ impl Error {
     /// An I/O error on `file` while `doing` something; use `"open"` for opening a file to read.
     pub fn io(file: impl AsRef<Path>, doing: &'static str) -> impl FnOnce(io::Error) -> Error {
         let file = file.as_ref().to_owned();
-        move |source| Error::Io { file, doing, source }
+        move |source| Error::Io { file, doing, source: plain(source) }
     }
 
     /// An I/O error on a file that was to be made under a temporary name, which would only confuse in the message.
     pub fn create(file: impl AsRef<Path>) -> impl FnOnce(io::Error) -> Error {
         let file = file.as_ref().to_owned();
         move |error| {
-            let source = match error.raw_os_error() {
-                Some(code) => io::Error::from_raw_os_error(code),
-                None if error.kind() == io::ErrorKind::NotFound => {
-                    let folder = file.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-                    let what = format!("there is no folder {}; make it first", folder.display());
-                    io::Error::new(io::ErrorKind::NotFound, what)
+            let folder = folder_of(&file);
+            let source = match error.kind() {
+                kind @ io::ErrorKind::NotFound if !folder.is_dir() => {
+                    io::Error::new(kind, format!("there is no folder {}; make it first", folder.display()))
                 }
-                None => error.kind().into(),
+                kind @ io::ErrorKind::IsADirectory => io::Error::new(kind, "this is a folder; name a file in it"),
+                _ => plain(error),
             };
             Error::Io { file, doing: "create", source }
         }
@@ -156,6 +155,21 @@ impl Error {
     pub fn damaged(file: impl AsRef<Path>, page: Option<u32>, what: impl Into<String>) -> Error {
         Error::Damaged { file: file.as_ref().to_owned(), page, what: what.into() }
     }
+}
+
+/// The system's own reason, where crate tempfile has put the name of the temporary file behind it.
+fn plain(error: io::Error) -> io::Error {
+    let text = error.to_string();
+    match text.split_once(" at path ") {
+        Some((reason, _)) if error.get_ref().is_some() => io::Error::new(error.kind(), reason),
+        _ => error,
+    }
+}
+
+/// The folder that a file of that name lies in: `.` for a name alone.
+#[doc(hidden)]
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]
@@ -170,6 +184,23 @@ mod tests {
             let error = Error::create("/no/such/folder/a.png")(io::Error::new(source.kind(), source));
             let expected = "/no/such/folder/a.png: cannot create: there is no folder /no/such/folder; make it first";
             assert_eq!((error.to_string(), error.kind()), (expected.to_owned(), Kind::Machine));
+        }
+    }
+
+    #[test]
+    fn a_folder_in_the_place_of_a_file_is_told() {
+        let source = std::fs::File::create("/").unwrap_err();
+        assert_eq!(Error::create("/")(source).to_string(), "/: cannot create: this is a folder; name a file in it");
+    }
+
+    #[cfg(target_os = "linux")]
+    #[test]
+    fn a_folder_that_is_there_is_not_called_missing_and_the_systems_reason_is_plain() {
+        let failed = || tempfile::NamedTempFile::new_in("/proc").unwrap_err();
+        assert!(failed().to_string().contains("/proc/.tmp"), "{}", failed());
+        let reason = "No such file or directory (os error 2)";
+        for error in [Error::create("/proc/a")(failed()), Error::io("/proc/a", "create")(failed())] {
+            assert_eq!(error.to_string(), format!("/proc/a: cannot create: {reason}"));
         }
     }
 }

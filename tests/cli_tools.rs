@@ -2,6 +2,8 @@
 
 #[path = "cli_tools/build.rs"]
 mod build;
+#[path = "cli_tools/build_ends.rs"]
+mod build_ends;
 #[path = "cli_tools/examples.rs"]
 mod examples;
 #[path = "cli_tools/info.rs"]

@@ -121,8 +121,28 @@ fn every_byte_and_every_length() {
 }
 
 #[test]
+fn leftovers_of_killed_builds_are_gone_on_with() {
+    let folder = tempfile::tempdir().unwrap();
+    let outcomes = fuzz::resume::unchanged().into_iter().map(|recipe| fuzz::resume::run(&recipe, folder.path()));
+    let [mut taken, mut anew] = [0; 2];
+    outcomes.for_each(|outcome| *if outcome == Outcome::Taken { &mut taken } else { &mut anew } += 1);
+    // Before the scan is done nothing can be.
+    assert!(taken > 50 && taken > anew && anew > 0, "{taken} taken up, {anew} begun anew");
+}
+
+#[test]
+fn leftovers_of_killed_builds_that_lie() {
+    let folder = tempfile::tempdir().unwrap();
+    let (seeds, inputs) = (Seeds::new(folder.path()), 2 * INPUTS);
+    let passed = (0..inputs).filter(|&number| fuzz::resume::passes(&seeds.input("resume", number))).count() as u64;
+    // Of those, many are gone on with; the others are told from what the build wrote, and it begins anew.
+    let [taken, refused] = run(targets::named("resume"), inputs);
+    assert!(2 * passed > inputs && taken > inputs / 10 && refused > inputs / 10, "{passed}, {taken}, {refused}");
+}
+
+#[test]
 fn meshes_and_scenes() {
-    for target in TARGETS.iter().filter(|t| t.name != "oct") {
+    for target in TARGETS.iter().filter(|t| !["oct", "resume"].contains(&t.name)) {
         let [taken, refused] = run(target, INPUTS);
         assert!(taken > 0, "{}: nothing is taken", target.name);
         // Whatever an MTL file says, the mesh is built; any bits are a ray.

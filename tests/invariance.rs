@@ -3,6 +3,10 @@
 //! The reference is the test of every triangle. Compared are, bit for bit, the closest hit, whether anything is hit, and all hits in
 //! order.
 
+#[path = "invariance/bad_rays.rs"]
+mod bad_rays;
+#[path = "invariance/packets.rs"]
+mod packets;
 mod trace_common;
 
 use std::cmp::Ordering;
@@ -272,127 +276,6 @@ fn whatever_walks_it() {
     }
 }
 
-/// Rays that run beside one that is aimed at something nasty; from its origin, or from points around it.
-fn beside(ray: Ray, apart: f32, random: &mut Random) -> Vec<Ray> {
-    let largest = ray.direction.iter().fold(0f32, |m, d| m.max(d.abs()));
-    let nudge = |x: f32, by: f32, random: &mut Random| x + by * (random.below(2001) as f32 / 1000.0 - 1.0);
-    let reach = random.pick(&[1e-7, 1e-5, 1e-3, 0.03]) * largest;
-    let count = [64, 63, 17, 16, 8][random.below(5)];
-    (0..count)
-        .map(|i| {
-            let exact = i % 5 == 0;
-            let direction = ray.direction.map(|d| if exact { d } else { nudge(d, reach, random) });
-            let origin = ray.origin.map(|o| if exact { o } else { nudge(o, apart, random) });
-            Ray { origin, direction, ..ray }
-        })
-        .collect()
-}
-
-/// Gives rays intervals of their own, some that end at a hit or a step of f32 beside it; and makes some of them invalid.
-fn mix(rays: &mut [Ray], tracer: &dyn Tracer, random: &mut Random) {
-    for (i, ray) in rays.iter_mut().enumerate() {
-        let t = tracer.closest(ray, Skip::NONE).unwrap().map_or(1.0, |found| found.hit.t);
-        let [under, over] = [t.next_down(), t.next_up()];
-        *ray = match i % 9 {
-            1 => ray.between(f32::NEG_INFINITY, f32::INFINITY),
-            2 => ray.between(random.pick(&[0.0, under, t, over]), f32::INFINITY),
-            3 => ray.between(-1.0, random.pick(&[under, t, over, 2.0 * t])),
-            4 => ray.between(t, t),
-            _ => *ray,
-        };
-        match random.below(40) {
-            0 => ray.origin[i % 3] = f32::NAN,
-            1 => ray.direction[i % 3] = random.pick(&[0.0, -0.0, f32::INFINITY]),
-            2 => ray.direction = [0.0; 3],
-            3 => (ray.tmin, ray.tmax) = (1.0, 0.5),
-            4 => ray.origin[i % 3] = 1e30,
-            _ => {}
-        }
-    }
-}
-
-#[test]
-fn in_packets() {
-    let (mut together, mut alone) = (0, 0);
-    for bench in Bench::all() {
-        let mut random = Random(77);
-        let split = random.pick(&SPLITS);
-        let octree = bench.mesh.octree(&BuildOptions { split, brick: Some(300), ..BuildOptions::default() });
-        let size = octree.root().side() as f32;
-        for query in bench.queries.iter().take(300) {
-            let apart = random.pick(&[0.0, 1e-6, 1e-3]) * size;
-            let mut rays = beside(query.ray, apart, &mut random);
-            if random.below(2) == 0 {
-                mix(&mut rays, &OctreeTracer::new(&octree), &mut random);
-            }
-            let skips: Vec<Skip> = rays.iter().map(|_| random.pick(&[query.skip, Skip::NONE])).collect();
-            let asked = |isa, order| {
-                let tracer = OctreeTracer::new(&octree).with_isa(isa).with_order(order);
-                let (mut found, mut blocked) = (vec![None; rays.len()], vec![false; rays.len()]);
-                let mut counters = Counters::default();
-                tracer.closest_each(&rays, &skips, &mut found, &mut counters).unwrap();
-                tracer.any_each(&rays, &skips, &mut blocked, &mut Counters::default()).unwrap();
-                (found, blocked, counters.nodes)
-            };
-            let (found, blocked, nodes) = asked(Isa::SCALAR, Order::Single);
-            for isa in Isa::available() {
-                let packed = asked(isa, Order::Packet);
-                let what = format!("{} {} {query:?} {apart}", bench.name, isa.name());
-                let of = |f: &Option<Found>| f.map(|f| (bits(f.hit), f.triangle));
-                for i in 0..rays.len() {
-                    assert_eq!(of(&packed.0[i]), of(&found[i]), "{what}: ray {i} {:?}", rays[i]);
-                    assert_eq!(packed.1[i], blocked[i], "{what}: any hit of ray {i} {:?}", rays[i]);
-                }
-                together += u64::from(packed.2 < nodes);
-                alone += 1;
-            }
-        }
-    }
-    // Else this compares a walk with itself. Rays along an axis and meshes of no moderate size make no packets.
-    assert!(20 * together > alone, "{together} of {alone} went together");
-}
-
-/// A packet once took the second of two equal triangles for the first, met again in another leaf, when the packet before it had hit that.
-#[test]
-fn equal_triangles_in_a_packet_again_and_again() {
-    let mut mesh = Mesh::cube(3);
-    mesh.faces.extend(mesh.faces.clone());
-    let (mut random, faces) = (Random(5), mesh.faces.len());
-    for split in SPLITS {
-        let octree = mesh.octree(&BuildOptions { split, brick: Some(64), ..BuildOptions::default() });
-        for isa in Isa::available() {
-            let tracer = OctreeTracer::new(&octree).with_isa(isa).with_order(Order::Packet);
-            let (mut last, mut hits) = (Vec::new(), 0);
-            for k in 0..600 {
-                if k % 3 == 0 {
-                    let (to, from) = (random.vector().map(|x| 0.4 * x), random.vector().map(|x| 4.0 * x));
-                    let ray = Ray::new(from, std::array::from_fn::<f32, 3, _>(|i| to[i] - from[i]));
-                    last = beside(ray, 0.0, &mut random);
-                }
-                // Now each leaves out one of the two, now the other.
-                let skips: Vec<Skip> = (0..last.len())
-                    .map(|i| match k % 3 {
-                        0 => Skip::NONE,
-                        _ => Skip::one(FaceId(((i * 7 + k) % faces) as u32)),
-                    })
-                    .collect();
-                let mut found = vec![None; last.len()];
-                tracer.closest_each(&last, &skips, &mut found, &mut Counters::default()).unwrap();
-                for ((ray, skip), found) in last.iter().zip(&skips).zip(&found) {
-                    let alone = tracer.closest(ray, *skip).unwrap();
-                    assert_eq!(
-                        found.map(|f| bits(f.hit)),
-                        alone.map(|f| bits(f.hit)),
-                        "{split:?} {isa:?} {ray:?} {skip:?}"
-                    );
-                    hits += u32::from(alone.is_some());
-                }
-            }
-            assert!(hits > 1000, "{hits} hits test little");
-        }
-    }
-}
-
 #[test]
 fn far_to_near_takes_another_way() {
     // Else the tests above compare a walk with itself.
@@ -509,79 +392,5 @@ fn in_whatever_order_the_corners_of_a_face_stand() {
             assert!(lists.iter().all(|l| l.len() == lists[0].len()), "{}", bench.name);
             (0..lists[0].len()).for_each(|i| same(k * LISTED, lists.map(|l| l[i])));
         }
-    }
-}
-
-/// Rays that hit nothing, by definition.
-fn bad_rays() -> Vec<Ray> {
-    let good = Ray::new([0.25, 0.125, 5.0], [0.0, 0.0, -1.0]);
-    let mut bad = vec![
-        good.between(2.0, 1.0),
-        good.between(f32::INFINITY, f32::NEG_INFINITY),
-        good.between(f32::NAN, 1.0),
-        good.between(0.0, f32::NAN),
-        Ray { direction: [0.0; 3], ..good },
-        Ray { direction: [0.0, -0.0, 0.0], ..good.between(f32::NEG_INFINITY, f32::INFINITY) },
-    ];
-    for (i, x) in
-        [f32::NAN, -f32::NAN, f32::INFINITY, f32::NEG_INFINITY].into_iter().flat_map(|x| [0, 1, 2].map(|i| (i, x)))
-    {
-        let (mut origin, mut direction) = (good, good);
-        origin.origin[i] = x;
-        direction.direction[i] = x;
-        bad.extend([origin, direction, origin.between(f32::NEG_INFINITY, f32::INFINITY)]);
-    }
-    bad
-}
-
-#[test]
-fn bad_rays_miss_in_every_mode() {
-    let octree = Mesh::cube(2).octree(&BuildOptions::default());
-    let good = Ray::new([0.25, 0.125, 5.0], [0.0, 0.0, -1.0]);
-    let linear: Box<dyn Tracer> = Box::new(LinearTracer::new(&octree).unwrap());
-    let tracers = Isa::available().into_iter().map(|isa| {
-        let tracer: Box<dyn Tracer> = Box::new(OctreeTracer::new(&octree).with_isa(isa));
-        tracer
-    });
-    for tracer in tracers.chain([linear]) {
-        let bad: Vec<Query> = bad_rays().into_iter().map(|ray| Query { ray, skip: Skip::NONE }).collect();
-        let answers = answers(tracer.as_ref(), &bad);
-        assert!(answers.closest.iter().all(|hit| *hit == bits(Hit::MISS)), "{answers:?}");
-        assert!(!answers.any.contains(&true) && answers.lists.iter().all(Vec::is_empty));
-        for query in &bad {
-            assert_eq!(tracer.closest(&query.ray, Skip::NONE).unwrap(), None);
-            assert!(!tracer.any(&query.ray, Skip::NONE).unwrap());
-        }
-        // Legal, whatever they look like.
-        let t = |ray: Ray| tracer.closest(&ray, Skip::NONE).unwrap().map(|found| found.hit.t);
-        assert_eq!(t(good.between(f32::NEG_INFINITY, f32::INFINITY)), Some(4.0));
-        assert_eq!(t(Ray { direction: [0.0, 0.0, 1.0], ..good }.between(-5.0, -1.0)), Some(-4.0));
-        assert_eq!(t(good.between(-0.0, f32::INFINITY)), Some(4.0));
-        assert_eq!(t(Ray { direction: [0.0, -0.0, -1e-45], ..good }), None, "its t is beyond f32");
-        assert_eq!(t(good.between(4.0, 4.0)), Some(4.0));
-    }
-}
-
-#[test]
-fn bad_rays_miss_in_octtrace() {
-    let folder = tempfile::tempdir().unwrap();
-    let [obj, oct] = ["cube.obj", "cube.oct"].map(|name| folder.path().join(name));
-    let mesh = Mesh::cube(2);
-    let vertices = mesh.positions.iter().map(|[x, y, z]| format!("v {x} {y} {z}\n"));
-    let faces = mesh.faces.iter().map(|f| f.map(|v| v + 1)).map(|[a, b, c]| format!("f {a} {b} {c}\n"));
-    std::fs::write(&obj, vertices.chain(faces).collect::<String>()).unwrap();
-    let octbuild = env!("CARGO_BIN_EXE_octbuild");
-    assert_cmd::Command::new(octbuild).args(["-q", "-o"]).args([&oct, &obj]).assert().success();
-    let mut rays = bad_rays();
-    rays.push(Ray::new([0.25, 0.125, 5.0], [0.0, 0.0, -1.0]).between(f32::NEG_INFINITY, f32::INFINITY));
-    for isa in Isa::available() {
-        let mut command = assert_cmd::Command::new(env!("CARGO_BIN_EXE_octtrace"));
-        command.arg(&oct).args(["--isa", isa.name()]).write_stdin(bytemuck::cast_slice::<Ray, u8>(&rays).to_vec());
-        let output = command.timeout(std::time::Duration::from_secs(60)).output().unwrap();
-        assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-        let hits: Vec<Hit> = bytemuck::pod_collect_to_vec(&output.stdout);
-        let (last, rest) = hits.split_last().unwrap();
-        assert!(last.is_hit() && rest.len() == rays.len() - 1);
-        assert!(rest.iter().all(|hit| bits(*hit) == bits(Hit::MISS)), "{}: {rest:?}", isa.name());
     }
 }

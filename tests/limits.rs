@@ -196,7 +196,7 @@ fn pictures_beyond_all_measure_are_refused() {
     }
     for (flags, said) in [
         (["--size", "65535x65535"], "at most 2147483648"),
-        (["--size", "65536x2"], "from 1 to 65535"),
+        (["--size", "65537x2"], "from 1 to 65536"),
         (["--samples", "66049"], "up to 65536"),
         (["--samples", "5"], "must be a square"),
         (["--depth", "10001"], "at most 10000"),

@@ -1,7 +1,12 @@
 //! One picture by several machines, and pictures that are seen while they are drawn: the tools as a user runs them.
 
+#[path = "shards/data.rs"]
+mod data;
 #[path = "shards/hostile.rs"]
 mod hostile;
+#[cfg(unix)]
+#[path = "shards/kubernetes.rs"]
+mod kubernetes;
 #[path = "shards/live.rs"]
 mod live;
 #[path = "shards/shares.rs"]

@@ -4,6 +4,7 @@
 //! The index stays in memory, some 40 to 800 bytes for each block of thousands of faces, and is written to a file when the scan
 //! is done, so that a killed build finds its faces again ([`super::scanned`]).
 
+use super::polygon::CLIP_LIMIT;
 use super::spool::Spool;
 use super::table::{FEW, Kind, PART};
 use crate::error::Result;
@@ -86,6 +87,31 @@ impl<'a> FaceView<'a> {
 }
 
 impl LoadedBlock {
+    /// The triangles of a block that a killed build left and whose faces touch these parts of the tables; `None` if it is not as any
+    /// that is written.
+    pub fn check(&self, touches: &[Touched; 3]) -> Option<u64> {
+        let view = self.view();
+        let corners = view.corners.len();
+        let small = |&size: &u32| corners_of(size) <= CLIP_LIMIT;
+        let shaped = match view.sizes.is_empty() {
+            true => corners.is_multiple_of(3),
+            false => {
+                view.sizes.iter().all(small) && view.sizes.iter().map(|&s| corners_of(s)).sum::<usize>() == corners
+            }
+        };
+        let per_corner = |array: &[u32]| array.is_empty() || array.len() == corners;
+        let sound = shaped
+            && per_corner(view.texcoords)
+            && per_corner(view.normals)
+            && view.materials.len().is_multiple_of(2)
+            && [view.corners, view.texcoords, view.normals].map(touched) == *touches;
+        let triangles = match view.sizes.is_empty() {
+            true => corners as u64 / 3,
+            false => view.sizes.iter().map(|&size| u64::from(triangles_of(size))).sum(),
+        };
+        sound.then_some(triangles)
+    }
+
     pub fn view(&self) -> FaceView<'_> {
         let [sizes, corners, texcoords, normals, materials] = self.lengths.map(|length| length as usize);
         let mut rest = &self.words[..];

@@ -1,8 +1,8 @@
 //! What a build notes on its way, so that it can go on after it was killed.
 //!
 //! The work folder holds a `state` file, written anew (and renamed) when a phase ends: what the source and the options
-//! are, and all that the next phases need beside the spools ([`super::scanned`] for the scan). Pages are noted apart
-//! ([`super::page_log`]). Nothing is synced: after a kill the system still has what was written. After a restart of the
+//! are, and all that the next phases need beside the spools ([`super::scanned`] for the scan), with checksums of these; behind it stands
+//! its own. Pages are noted apart ([`super::page_log`]). What was noted is checked before it is used ([`super::sound`]). Nothing is synced: after a kill the system still has what was written. After a restart of the
 //! machine that does not hold, so the state names the boot it belongs to.
 
 use std::fs;
@@ -18,9 +18,10 @@ use super::options::{BuildOptions, Tuning};
 use super::record::Layout;
 use super::report::Polygons;
 use super::scanned::ScannedState;
+use super::sound::Unfit;
 use super::work::WorkFolder;
 use crate::error::{Error, Result};
-use crate::format::{Dropped, VERSION};
+use crate::format::{Dropped, VERSION, checksum};
 use crate::geometry::Aabb;
 use crate::mesh::{self, MaterialInfo};
 
@@ -31,6 +32,9 @@ pub(super) struct State {
     /// Other files that the source read, and what they were.
     beside: Vec<(PathBuf, Option<String>)>,
     pub reached: Reached,
+    /// The checksum of the text that it was noted as, or read from.
+    #[serde(skip)]
+    sum: u64,
 }
 
 /// How far the build is.
@@ -65,6 +69,8 @@ pub(super) struct JoinedState {
     pub vertices: u64,
     pub triangles: u64,
     pub record_words: u64,
+    /// The checksum of the spool of records, or of their parts.
+    pub record_sum: u64,
     kept: u64,
     dropped: [u64; 4],
     polygons: [u64; 3],
@@ -73,18 +79,19 @@ pub(super) struct JoinedState {
     longest: u32,
     bounds: [u32; 6],
     all_bounds: [u32; 6],
-    materials: Vec<MaterialState>,
+    pub materials: Vec<MaterialState>,
 }
 
 /// Name, Ka, Kd, Ks, Ns, Ni, d, illum, map_Kd.
 pub(super) type MaterialState =
     (String, [Option<[u32; 3]>; 3], [Option<u32>; 3], Option<u32>, Option<std::path::PathBuf>);
 
-/// Units (level, code, triangles) and extents (place, words) of a chunk.
+/// Units (level, code, triangles), extents (place, words) and checksum of a chunk.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct ChunkState {
     units: Vec<(u32, u64, u64)>,
     extents: Vec<(u64, u64)>,
+    sum: u64,
 }
 
 impl Key {
@@ -104,13 +111,13 @@ impl Key {
 impl State {
     /// The state after the scan of a source that read the files `beside` too; `None` if it cannot be told from others.
     pub fn scanned(options: &BuildOptions, beside: &[PathBuf], scanned: ScannedState) -> Option<State> {
-        Some(State { key: Key::of(options)?, beside: stamps(beside), reached: Reached::Scanned(scanned) })
+        Some(State { key: Key::of(options)?, beside: stamps(beside), reached: Reached::Scanned(scanned), sum: 0 })
     }
 
     /// The state after the join, likewise.
     pub fn joined(options: &BuildOptions, beside: &[PathBuf], joined: JoinedState) -> Option<State> {
         let reached = Reached::Joined { joined, parts: false, chunks: None };
-        Some(State { key: Key::of(options)?, beside: stamps(beside), reached })
+        Some(State { key: Key::of(options)?, beside: stamps(beside), reached, sum: 0 })
     }
 
     /// The files that the source read beside its own.
@@ -123,11 +130,16 @@ impl State {
         matches!(self.reached, Reached::Joined { parts: true, .. })
     }
 
-    /// Notes that records, so many words of them, stand for parts of triangles from now on.
-    pub fn add_parts(&mut self, words: u64) {
+    /// Notes that records, so many words of them with that checksum, stand for parts of triangles from now on.
+    pub fn add_parts(&mut self, words: u64, sum: u64) {
         if let Reached::Joined { joined, parts, .. } = &mut self.reached {
-            (*parts, joined.record_words) = (true, words);
+            (*parts, joined.record_words, joined.record_sum) = (true, words, sum);
         }
+    }
+
+    /// The checksum of what was noted or read: what is noted apart names it.
+    pub fn sum(&self) -> u64 {
+        self.sum
     }
 
     /// Adds the chunks that the triangles are sorted into.
@@ -138,23 +150,37 @@ impl State {
     }
 
     /// What an earlier build of the same source with the same options left, if it takes no more than `most` bytes.
-    pub fn load(work: &WorkFolder, options: &BuildOptions, most: u64) -> Option<State> {
-        let path = work.path().join("state");
-        let fits = fs::metadata(&path).ok()?.len() <= most;
-        let state: State = serde_json::from_slice(&fits.then(|| fs::read(path).ok()).flatten()?).ok()?;
+    pub fn load(work: &WorkFolder, options: &BuildOptions, most: u64) -> std::result::Result<State, Unfit> {
+        let bytes = Some(work.bytes(STATE)).filter(|bytes| (1..=most).contains(bytes)).ok_or(Unfit::Other)?;
+        let file = work.read(STATE, bytes).ok_or(Unfit::Other)?;
+        let text = file.get(..file.len().saturating_sub(SUM_BYTES)).unwrap_or_default();
+        let sum = checksum(text);
+        if file.get(text.len()..) != Some(format!("\n{sum:016x}\n").as_bytes()) {
+            return Err(Unfit::checksum(work, STATE));
+        }
+        // Of another version, whose text is another.
+        let state: State = serde_json::from_slice(text).map_err(|_| Unfit::Other)?;
         let same = |(path, stamp): &(PathBuf, Option<String>)| mesh::stamp(path) == *stamp;
-        (Some(&state.key) == Key::of(options).as_ref() && state.beside.iter().all(same)).then_some(state)
+        let fits = Some(&state.key) == Key::of(options).as_ref() && state.beside.iter().all(same);
+        if fits { Ok(State { sum, ..state }) } else { Err(Unfit::Other) }
     }
 
-    /// Notes the state.
-    pub fn save(&self, work: &WorkFolder) -> Result<()> {
+    /// Notes the state, and behind its text the checksum of that, as a line of 16 digits.
+    pub fn save(&mut self, work: &WorkFolder) -> Result<()> {
         let mut file = work.create("state.new")?;
-        let path = work.path().join("state");
-        let text = serde_json::to_vec(self).map_err(|e| Error::Option(format!("cannot note the state: {e}")))?;
+        let path = work.path().join(STATE);
+        let mut text = serde_json::to_vec(self).map_err(|e| Error::Option(format!("cannot note the state: {e}")))?;
+        self.sum = checksum(&text);
+        text.extend(format!("\n{:016x}\n", self.sum).into_bytes());
         file.write_all(&text).map_err(Error::io(&path, "write"))?;
         fs::rename(work.path().join("state.new"), &path).map_err(Error::io(&path, "write"))
     }
 }
+
+/// The file that holds the state.
+const STATE: &str = "state";
+/// Bytes behind the text of a state: its checksum.
+const SUM_BYTES: usize = 18;
 
 fn stamps(files: &[PathBuf]) -> Vec<(PathBuf, Option<String>)> {
     files.iter().map(|path| (path.clone(), mesh::stamp(path))).collect()
@@ -182,7 +208,7 @@ impl JoinedState {
     pub fn new(
         tally: &Tally,
         layout: Layout,
-        [points, vertices, triangles, record_words]: [u64; 4],
+        [points, vertices, triangles, record_words, record_sum]: [u64; 5],
         materials: &[MaterialInfo],
     ) -> JoinedState {
         let d = tally.dropped;
@@ -193,6 +219,7 @@ impl JoinedState {
             vertices,
             triangles,
             record_words,
+            record_sum,
             kept: tally.kept,
             dropped: [d.degenerate, d.non_finite, d.bad_index, d.too_few_corners],
             polygons: [p.cut, p.clipped, p.fanned],
@@ -264,6 +291,7 @@ impl ChunkState {
         ChunkState {
             units: chunk.units.iter().map(|unit| (unit.cell.level, unit.cell.code, unit.triangles)).collect(),
             extents: chunk.extents.iter().map(|extent| (extent.at, extent.words)).collect(),
+            sum: chunk.sum,
         }
     }
 
@@ -272,12 +300,8 @@ impl ChunkState {
         Chunk {
             units: self.units.iter().map(unit).collect(),
             extents: self.extents.iter().map(|&(at, words)| Extent { at, words }).collect(),
+            sum: self.sum,
         }
-    }
-
-    /// Where the last extent ends.
-    pub fn end(&self) -> u64 {
-        self.extents.iter().map(|(at, words)| at + words).max().unwrap_or(0)
     }
 }
 
@@ -299,7 +323,7 @@ mod tests {
             map_kd: Some("a/b.png".into()),
             ..Default::default()
         };
-        let joined = JoinedState::new(&tally, layout, [1, 2, 3, 4], &[MaterialInfo::default(), material.clone()]);
+        let joined = JoinedState::new(&tally, layout, [1, 2, 3, 4, 5], &[MaterialInfo::default(), material.clone()]);
         let options = BuildOptions { source: Some("mesh".into()), ..Default::default() };
         assert!(State::joined(&BuildOptions::default(), &[], joined.clone()).is_none());
         let library = folder.path().join("a.mtl");
@@ -307,7 +331,7 @@ mod tests {
         fs::write(&library, "newmtl red").unwrap();
         let mut state = State::joined(&options, &beside, joined).unwrap();
         let unit = Unit { cell: CellCode { level: 3, code: 77 }, triangles: 9 };
-        let chunk = Chunk { units: vec![unit], extents: vec![Extent { at: 1, words: 2 }] };
+        let chunk = Chunk { units: vec![unit], extents: vec![Extent { at: 1, words: 2 }], sum: 3 };
         state.add_chunks(&[chunk]);
         state.save(&work).unwrap();
         let again = State::load(&work, &BuildOptions { memory: 1 << 40, ..options.clone() }, 1 << 20).unwrap();
@@ -317,18 +341,18 @@ mod tests {
         let back = joined.materials().remove(1);
         assert_eq!(back.kd.map(|c| c.map(f32::to_bits)), material.kd.map(|c| c.map(f32::to_bits)));
         assert_eq!((back.name, back.map_kd, joined.tally().bounds.is_empty()), ("red".into(), material.map_kd, true));
-        assert!(State::load(&work, &BuildOptions { ids: false, ..options.clone() }, 1 << 20).is_none());
+        assert!(State::load(&work, &BuildOptions { ids: false, ..options.clone() }, 1 << 20).is_err());
         assert!(
-            State::load(&work, &BuildOptions { source: Some("other".into()), ..options.clone() }, 1 << 20).is_none()
+            State::load(&work, &BuildOptions { source: Some("other".into()), ..options.clone() }, 1 << 20).is_err()
         );
         let load = |most| State::load(&work, &options, most);
-        assert!(load(100).is_none() && load(1 << 20).is_some());
+        assert!(load(100).is_err() && load(1 << 20).is_ok());
         // A library that was missing, and one that is another now.
         fs::write(&beside[1], "newmtl blue").unwrap();
-        assert!(load(1 << 20).is_none());
+        assert!(load(1 << 20).is_err());
         fs::remove_file(&beside[1]).unwrap();
-        assert!(load(1 << 20).is_some());
+        assert!(load(1 << 20).is_ok());
         fs::write(&library, "newmtl red\nKd 1 0 0").unwrap();
-        assert!(load(1 << 20).is_none());
+        assert!(load(1 << 20).is_err());
     }
 }

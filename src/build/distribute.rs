@@ -9,6 +9,7 @@
 use std::ops::Range;
 
 use rayon::prelude::*;
+use xxhash_rust::xxh3::xxh3_64_with_seed;
 
 use crate::error::Result;
 use crate::event::Monitor;
@@ -72,6 +73,8 @@ impl Records<'_> {
 pub(super) struct Chunk {
     pub units: Vec<Unit>,
     pub extents: Vec<Extent>,
+    /// XXH3-64 of the extents' words in order, the value of each being the seed of the next; 0 for none.
+    pub sum: u64,
 }
 
 impl Chunk {
@@ -214,8 +217,10 @@ struct ChunkWriter<'a> {
 impl<'a> ChunkWriter<'a> {
     fn new(buffer_words: usize, spool: Spool<'a>, layout: Layout, units: &[Unit], ends: &[usize]) -> Self {
         let starts = std::iter::once(0).chain(ends.iter().copied());
-        let chunks: Vec<Chunk> =
-            starts.zip(ends).map(|(from, &to)| Chunk { units: units[from..to].to_vec(), extents: vec![] }).collect();
+        let chunks: Vec<Chunk> = starts
+            .zip(ends)
+            .map(|(from, &to)| Chunk { units: units[from..to].to_vec(), extents: vec![], sum: 0 })
+            .collect();
         ChunkWriter {
             spool,
             buffers: vec![Vec::new(); chunks.len()],
@@ -252,7 +257,9 @@ impl<'a> ChunkWriter<'a> {
     fn flush(&mut self, chunk: usize) -> Result<()> {
         let buffer = &mut self.buffers[chunk];
         if !buffer.is_empty() {
-            self.chunks[chunk].extents.push(Extent { at: self.spool.len(), words: buffer.len() as u64 });
+            let Chunk { extents, sum, .. } = &mut self.chunks[chunk];
+            extents.push(Extent { at: self.spool.len(), words: buffer.len() as u64 });
+            *sum = xxh3_64_with_seed(bytemuck::cast_slice(buffer), *sum);
             self.spool.append(buffer)?;
             buffer.clear();
         }

@@ -9,8 +9,10 @@
 //! small, however many corners a face has. Such faces are listed, since a bad corner drops all of a face.
 
 use serde::{Deserialize, Serialize};
+use xxhash_rust::xxh3::Xxh3;
 
 use crate::error::{Error, Result};
+use crate::event::Monitor;
 use crate::mesh::{FaceBatch, NO_INDEX};
 
 use super::blocks::{self, Block, LargeFace, LoadedBlock, Touched, corners_of, touched, triangles_of};
@@ -29,6 +31,12 @@ pub(super) struct FaceCounts {
     ids: u64,
     too_few_corners: u64,
     has: [bool; 3],
+}
+
+impl FaceCounts {
+    pub fn too_few_corners(&self) -> u64 {
+        self.too_few_corners
+    }
 }
 
 /// All faces of a mesh.
@@ -94,6 +102,44 @@ impl<'a> Faces<'a> {
             too_few_corners: self.too_few_corners,
             has: [self.has_materials, self.has_texcoords, self.has_normals],
         }
+    }
+
+    /// The checksum of all blocks, of faces that a killed build left; `None` if a block, or a large face, is not as any that is
+    /// written. All blocks are read.
+    pub fn check(&self, counts: &FaceCounts, monitor: Monitor<'_>) -> Result<Option<u64>> {
+        let (mut sum, mut at, mut ids, mut corners) = (Xxh3::new(), 0, 0, 0);
+        // Each array of a block has less than twice the corners of one and those of a face.
+        let most = 16 * (counts.block_corners + CLIP_LIMIT) as u64;
+        for (number, block) in self.blocks.iter().enumerate() {
+            monitor.check()?;
+            let words: u64 = block.lengths.iter().map(|&length| u64::from(length)).sum();
+            let follows = block.at == at && u64::from(block.first_id) == ids;
+            if !follows || words > most.min(self.spool.len() - at) {
+                return Ok(None);
+            }
+            let loaded = self.load(number)?;
+            sum.update(bytemuck::cast_slice(&loaded.words));
+            let Some(triangles) = loaded.check(&block.touched) else { return Ok(None) };
+            at += words;
+            ids += triangles;
+            corners += u64::from(block.lengths[1]);
+            if ids > u64::from(u32::MAX) {
+                return Ok(None);
+            }
+        }
+        let mut end = 0;
+        let large = self.large.iter().all(|face| {
+            let follows = u64::from(face.first_id) >= end && face.triangles > 0;
+            end = u64::from(face.first_id) + u64::from(face.triangles);
+            follows && end <= ids
+        });
+        let whole = large && at == self.spool.len() && ids == self.ids && corners == self.corners;
+        Ok(whole.then(|| sum.digest()))
+    }
+
+    /// The checksum of what was written.
+    pub fn checksum(&self) -> u64 {
+        self.spool.checksum()
     }
 
     /// Writes where the blocks lie to `spool`.

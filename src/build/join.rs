@@ -101,7 +101,7 @@ pub(super) fn join<'a>(
     let layout = scan.layout();
     let mut join = Join { scan, layout, fates: vec![Fate::Kept; scan.faces.large.len()], grid, snap };
     loop {
-        let records = Spool::new(work, "records", tuning.record_words);
+        let records = Spool::new(work, "records", tuning.record_words).summed();
         let mut joined = Joined { records, layout, tally: Tally::new(), points: 0 };
         let fates = join.pass(&mut joined, tuning, monitor)?;
         if fates == join.fates {

@@ -11,7 +11,7 @@
 //! pages, materials, and a list of face blocks grow with the mesh, by far less than a byte a triangle.
 //!
 //! A build that was killed leaves its work folder and a partial file; [`BuildOptions::resume`] goes on from there
-//! (`checkpoint.rs`, `scanned.rs`, `page_log.rs`).
+//! (`checkpoint.rs`, `scanned.rs`, `page_log.rs`), once all of it has been checked (`sound.rs`).
 //!
 //! The bricks are true octree cells and depend on the mesh and the options only, never on the size of a chunk or the
 //! number of threads; so the same input gives the same bytes. Work runs on the current rayon pool.
@@ -43,6 +43,7 @@ mod scan;
 mod scanned;
 mod sketch;
 mod snap;
+mod sound;
 mod spool;
 mod steps;
 pub(crate) mod subtree;
@@ -55,6 +56,6 @@ mod work;
 
 pub use options::BuildOptions;
 pub use phases::Phase;
-pub use pipeline::build;
+pub use pipeline::{build, build_spilling};
 pub use report::{BuildReport, Polygons};
 pub use snap::Positions;

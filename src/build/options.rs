@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 use crate::format::{LEAF_MAX, SplitMode};
 use crate::geometry::morton;
 
@@ -115,7 +115,7 @@ impl BuildOptions {
             return wrong("the step of the grid is not a positive number".into());
         }
         if self.memory < Self::LEAST_MEMORY {
-            return wrong(format!("{} bytes of memory are too few; at least 64 MiB are needed", self.memory));
+            return wrong(format!("{} bytes of memory are too few; allow at least 64 MiB (--memory 64M)", self.memory));
         }
         if !self.origin.iter().all(|x| x.is_finite()) {
             return wrong("the origin is not finite".into());
@@ -132,11 +132,7 @@ impl BuildOptions {
 
     /// The folder for temporary files of a build that writes `output`.
     pub(super) fn temp_folder(&self, output: &Path) -> PathBuf {
-        let beside = || match output.parent() {
-            Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
-            _ => PathBuf::from("."),
-        };
-        self.temp.clone().unwrap_or_else(beside)
+        self.temp.clone().unwrap_or_else(|| folder_of(output).to_owned())
     }
 
     /// The mesh's name in messages.
@@ -185,6 +181,23 @@ pub(super) struct Tuning {
 }
 
 impl Tuning {
+    /// Sizes so small that nearly all of even a small mesh goes to files, and chunks are divided again and again.
+    pub const TINY: Tuning = Tuning {
+        block_corners: 50,
+        table_words: 0,
+        window_words: 1 << 17,
+        face_words: 100,
+        record_words: 200,
+        piece: 100,
+        chunk_bytes: 60 * 68,
+        wave_bytes: 32 << 20,
+        grid_levels: 2,
+        buffer_words: 300,
+        extents: 1 << 20,
+        noted_materials: 1 << 16,
+        top_bytes: 4 << 20,
+    };
+
     /// The sizes for `memory` bytes in all.
     ///
     /// Of what there is for the build itself (w), the source's reader takes w/4 while scanning, and materials as much; an
@@ -232,7 +245,7 @@ impl Tuning {
 
     /// Fails if the directory of so many pages does not fit.
     pub fn check_pages(&self, pages: u64) -> Result<()> {
-        if pages * PAGE_BYTES <= self.top_bytes {
+        if pages.saturating_mul(PAGE_BYTES) <= self.top_bytes {
             return Ok(());
         }
         Err(Error::Option(format!(

@@ -105,7 +105,7 @@ impl<'a> Phases<'a> {
         let peak_rss_bytes = peak();
         if peak_rss_bytes > self.memory && !std::mem::replace(&mut self.told, true) {
             let (peak, memory) = (peak_rss_bytes >> 10, self.memory >> 10);
-            self.monitor.warn(format!("the phase {name} took {peak} KiB of memory, more than the {memory} allowed"));
+            self.monitor.warn(format!("the phase {name} took {peak} KiB of memory, more than the {memory} allowed; the file is right, but please report this"));
         }
         let (seconds, cpu_seconds) = (start.elapsed().as_secs_f64(), cpu_seconds() - cpu);
         match self.done.iter_mut().find(|phase| phase.name == name) {

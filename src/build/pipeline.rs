@@ -1,6 +1,7 @@
 //! The builder as a whole: the phases in order, and what passes from one to the next.
 //!
-//! The phases themselves stand apart: [`early`] (split), [`sorting`] (count and distribute), [`pages`] (chunks) and [`finish`] (stitch).
+//! The phases themselves stand apart: [`early`] (split), [`sorting`] (count and distribute), [`pages`] (chunks), [`finish`] (stitch), and [`taken_up`] (what a
+//! killed build wrote of the file).
 
 use std::path::Path;
 
@@ -20,6 +21,7 @@ use super::page_log::PageLog;
 use super::phases::Phases;
 use super::record::Layout;
 use super::report::BuildReport;
+use super::sound::Unfit;
 use super::subtree::TopBrick;
 use super::triangles::{Left, Mesh, Stage, Triangles, join_all, read, taken_up};
 use super::work::WorkFolder;
@@ -28,6 +30,7 @@ mod early;
 mod finish;
 mod pages;
 mod sorting;
+mod taken_up;
 
 /// Builds the octree file `output` from `source`.
 ///
@@ -45,6 +48,18 @@ pub fn build(
     build_tuned(source, output, options, &tuning, monitor)
 }
 
+/// [`build`] as of a mesh far too large for its memory, however small it is: all of it goes through temporary files, in small
+/// pieces, and is sorted again and again. The bytes written are the same. For tests and fuzzers of what killed builds leave.
+#[doc(hidden)]
+pub fn build_spilling(
+    source: &mut dyn TriangleSource,
+    output: &Path,
+    options: &BuildOptions,
+    monitor: Monitor<'_>,
+) -> Result<BuildReport> {
+    build_tuned(source, output, options, &Tuning::TINY, monitor)
+}
+
 /// [`build`] with sizes that only tests change.
 pub(super) fn build_tuned(
     source: &mut dyn TriangleSource,
@@ -59,12 +74,7 @@ pub(super) fn build_tuned(
     let work = WorkFolder::new(&options.temp_folder(output), output, writer.is_first())?;
     let mut phases = Phases::new(options.memory, monitor);
 
-    let found = if options.resume { taken_up(&work, options, tuning) } else { None };
-    if options.resume && found.is_none() {
-        monitor.warn(
-            "there is no unfinished build of this mesh with these options, and no more memory, to go on with; it begins anew",
-        );
-    }
+    let found = if options.resume { to_go_on_with((&work, output), options, tuning, monitor)? } else { None };
     let joined = |scan, phases: &mut _| join_all(scan, (&work, output), options, tuning, phases, monitor);
     let Triangles { mesh, stage, state } = match found {
         Some(Left::Joined(triangles)) => triangles,
@@ -81,6 +91,27 @@ pub(super) fn build_tuned(
     let mut report = build.finish(output)?;
     report.phases = phases.finish();
     Ok(report)
+}
+
+/// What a killed build left, if it can be gone on with; else it is told why not.
+fn to_go_on_with<'w>(
+    (work, output): (&'w WorkFolder, &Path),
+    options: &BuildOptions,
+    tuning: &Tuning,
+    monitor: Monitor<'_>,
+) -> Result<Option<Left<'w>>> {
+    match taken_up(work, options, tuning, monitor) {
+        Ok(left) => return Ok(Some(left)),
+        Err(Unfit::Interrupted) => return Err(Error::Interrupted),
+        Err(Unfit::Other) => monitor.warn(format!(
+            "{}: there is no unfinished build of this mesh with these options, or it had more memory; it begins anew",
+            output.display()
+        )),
+        Err(Unfit::Damaged(what)) => {
+            monitor.warn(format!("{what}; the unfinished build cannot be gone on with, and it begins anew"));
+        }
+    }
+    Ok(None)
 }
 
 /// A file being built, from the join on.
@@ -184,7 +215,7 @@ impl<'a> Build<'a> {
             Stage::Joined(records, grid) => {
                 let root = Unit { cell: CellCode::ROOT, triangles: records.len() / self.layout.words() as u64 };
                 let extents = vec![Extent { at: 0, words: records.len() }];
-                let whole = Chunk { units: vec![root], extents };
+                let whole = Chunk { units: vec![root], extents, sum: 0 };
                 self.writer.restart(0)?;
                 if whole.triangles() <= sorting.limit {
                     drop((grid, state));
@@ -199,13 +230,13 @@ impl<'a> Build<'a> {
                 if let Some(mut state) = state {
                     state.add_chunks(&chunks);
                     state.save(work)?;
-                    self.begin_pages(work)?;
+                    self.begin_pages(work, state.sum())?;
                 }
                 (spool, chunks, 0)
             }
             Stage::Sorted(spool, chunks) => {
                 phases.expect_sorting(true);
-                let done = self.take_up_pages(work)?;
+                let done = self.take_up_pages(work, state.as_ref().map_or(0, State::sum), &chunks)?;
                 // What remains of memory is not the same in each run; and the source's reader took none in this one.
                 sorting.limit += sorting.limit / 8;
                 (spool, chunks, done)
@@ -213,27 +244,5 @@ impl<'a> Build<'a> {
         };
         phases.begin("chunks");
         self.chunks(&spool, &chunks, done, sorting, (work, 1), phases)
-    }
-
-    /// Goes on with the pages that a killed build wrote: how many chunks they make.
-    fn take_up_pages(&mut self, work: &WorkFolder) -> Result<usize> {
-        self.tuning.check_pages(PageLog::pages(work))?;
-        if let Some((log, chunks, entries)) = PageLog::reopen(work)
-            && self.writer.resume(entries.iter().map(|entry| entry.record).collect(), log.mark())?
-        {
-            entries.iter().for_each(|entry| self.count(entry));
-            self.log = Some(log);
-            return Ok(chunks as usize);
-        }
-        self.begin_pages(work)?;
-        Ok(0)
-    }
-
-    /// Begins to note pages, and the file that they go to.
-    fn begin_pages(&mut self, work: &WorkFolder) -> Result<()> {
-        let log = PageLog::create(work)?;
-        self.writer.restart(log.mark())?;
-        self.log = Some(log);
-        Ok(())
     }
 }

@@ -8,7 +8,7 @@
 
 use std::path::{Path, PathBuf};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 use crate::event::Monitor;
 
 /// Bytes of the output for each triangle, about.
@@ -73,7 +73,7 @@ pub(super) fn check_parts(bytes: u64, written: u64, parts: u64, folder: &Path, o
 
 /// Fails if `folder` has no room for `temporary` bytes, or the folder of `output` none for `pages`.
 fn check_both(temporary: u64, pages: u64, folder: &Path, output: &Path) -> Result<()> {
-    let beside = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let beside = folder_of(output);
     if same_disk(folder, beside) {
         return check(temporary + pages, folder);
     }

@@ -69,10 +69,10 @@ pub(super) fn scan<'a>(
 ) -> Result<Scan<'a>> {
     let share = tuning.table_words;
     let scan = Scan {
-        positions: Table::new(Spool::new(work, SPOOLS[0], share), Kind::Position),
-        texcoords: Table::new(Spool::new(work, SPOOLS[1], share), Kind::Texcoord),
-        normals: Table::new(Spool::new(work, SPOOLS[2], share), Kind::Normal),
-        faces: Faces::new(Spool::new(work, SPOOLS[3], tuning.face_words), tuning.block_corners),
+        positions: Table::new(Spool::new(work, SPOOLS[0], share).summed(), Kind::Position),
+        texcoords: Table::new(Spool::new(work, SPOOLS[1], share).summed(), Kind::Texcoord),
+        normals: Table::new(Spool::new(work, SPOOLS[2], share).summed(), Kind::Normal),
+        faces: Faces::new(Spool::new(work, SPOOLS[3], tuning.face_words).summed(), tuning.block_corners),
         info: SourceInfo::default(),
         bounds: Aabb::EMPTY,
         index: None,

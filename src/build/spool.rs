@@ -5,7 +5,10 @@
 
 use std::fs::File;
 
+use xxhash_rust::xxh3::Xxh3;
+
 use crate::error::{Error, Result};
+use crate::event::Monitor;
 
 use super::words::Words;
 use super::work::WorkFolder;
@@ -20,18 +23,38 @@ pub(super) struct Spool<'a> {
     /// Whether the file holds what is in memory.
     copied: bool,
     words: u64,
+    /// Of all that went to the file, if that may be noted.
+    sum: Option<Box<Xxh3>>,
 }
+
+/// Words that are checked at a time, about.
+const CHECKED: usize = 1 << 18;
 
 impl<'a> Spool<'a> {
     /// An empty spool that keeps up to `limit` words in memory, and more than that in a file of that name.
     pub fn new(work: &'a WorkFolder, name: impl Into<String>, limit: usize) -> Spool<'a> {
-        Spool { work, name: name.into(), limit, memory: Words::default(), file: None, copied: false, words: 0 }
+        Spool {
+            work,
+            name: name.into(),
+            limit,
+            memory: Words::default(),
+            file: None,
+            copied: false,
+            words: 0,
+            sum: None,
+        }
+    }
+
+    /// The same, of which a [checksum](Spool::checksum) is kept, so that a build that goes on can tell whether it is whole.
+    pub fn summed(mut self) -> Spool<'a> {
+        self.sum = Some(Box::default());
+        self
     }
 
     /// The spool of that name which an earlier build left, if it holds at least `words`.
     pub fn reopen(work: &'a WorkFolder, name: &str, words: u64) -> Option<Spool<'a>> {
         let file = work.reopen(name).ok()?;
-        let whole = file.metadata().ok()?.len() >= 4 * words;
+        let whole = file.metadata().ok()?.len() >= words.checked_mul(4)?;
         let mut spool = Spool::new(work, name, 0);
         (spool.file, spool.words) = (Some(file), words);
         whole.then_some(spool)
@@ -40,6 +63,34 @@ impl<'a> Spool<'a> {
     /// An empty one in the same folder, whose name says `what` of this it holds, and that keeps nothing in memory.
     pub fn beside(&self, what: &str) -> Spool<'a> {
         Spool::new(self.work, format!("{}-{what}", self.name), 0)
+    }
+
+    /// XXH3-64 of all that is in the file.
+    pub fn checksum(&self) -> u64 {
+        self.sum.as_ref().map_or(0, |sum| sum.digest())
+    }
+
+    /// Whether what an earlier build left has that checksum, and `take` finds nothing wrong: it is given all words in order, whole
+    /// records of `record` words at a time.
+    pub fn holds(
+        &self,
+        checksum: u64,
+        record: usize,
+        monitor: Monitor<'_>,
+        mut take: impl FnMut(&[u32]) -> bool,
+    ) -> Result<bool> {
+        let (mut sum, mut words) = (Xxh3::new(), Vec::new());
+        let piece = CHECKED / record * record;
+        for at in (0..self.words).step_by(piece) {
+            monitor.check()?;
+            words.resize((self.words - at).min(piece as u64) as usize, 0);
+            self.read(at, &mut words)?;
+            sum.update(bytemuck::cast_slice(&words));
+            if !take(&words) {
+                return Ok(false);
+            }
+        }
+        Ok(sum.digest() == checksum)
     }
 
     /// Words in it.
@@ -59,6 +110,9 @@ impl<'a> Spool<'a> {
         }
         if let Some(file) = &self.file {
             write_at(file, 4 * self.words, bytemuck::cast_slice(words)).map_err(self.failed(WRITE))?;
+            if let Some(sum) = &mut self.sum {
+                sum.update(bytemuck::cast_slice(words));
+            }
         } else if !words.is_empty() {
             if self.memory.is_empty() {
                 self.memory = Words::zeroed(self.limit)?;
@@ -86,6 +140,9 @@ impl<'a> Spool<'a> {
             self.copied = true;
             let words = &self.memory[..self.words as usize];
             write_at(&file, 0, bytemuck::cast_slice(words)).map_err(self.failed(WRITE))?;
+            if let Some(sum) = &mut self.sum {
+                sum.update(bytemuck::cast_slice(words));
+            }
         }
         Ok(self.words)
     }
@@ -104,6 +161,9 @@ impl<'a> Spool<'a> {
             let file = self.work.create(&self.name)?;
             let words = &self.memory[..self.words as usize];
             write_at(&file, 0, bytemuck::cast_slice(words)).map_err(self.failed(WRITE))?;
+            if let Some(sum) = &mut self.sum {
+                sum.update(bytemuck::cast_slice(words));
+            }
             self.memory = Words::default();
             self.file = Some(file);
         }

@@ -19,7 +19,8 @@ use super::record::Layout;
 use super::room::{Growth, check_after, check_before};
 use super::scan::{Scan, scan};
 use super::scanned;
-use super::snap::Snap;
+use super::snap::{Positions, Snap};
+use super::sound::{Told, Unfit};
 use super::spool::Spool;
 use super::work::WorkFolder;
 
@@ -121,37 +122,55 @@ pub(super) fn join_all<'w>(
     };
     let files = &scan.info.files;
     let noted = joined.records.memory().is_none() && can_note(&mesh.materials, files, &tuning);
-    let state = if noted { State::joined(options, files, mesh.state(joined.records.len())) } else { None };
-    state.as_ref().map_or(Ok(()), |state| state.save(work))?;
+    let mut state = if noted { State::joined(options, files, mesh.state(&joined.records)) } else { None };
+    state.as_mut().map_or(Ok(()), |state| state.save(work))?;
     Ok(Triangles { mesh, stage: Stage::Joined(joined.records, grid.filter(|_| root == guess.root)), state })
 }
 
-/// What a killed build left, if it is whole.
-pub(super) fn taken_up<'w>(work: &'w WorkFolder, options: &BuildOptions, tuning: &Tuning) -> Option<Left<'w>> {
+/// What a killed build left, if it is of this one, and whole.
+pub(super) fn taken_up<'w>(
+    work: &'w WorkFolder,
+    options: &BuildOptions,
+    tuning: &Tuning,
+    monitor: Monitor<'_>,
+) -> Result<Left<'w>, Unfit> {
+    if !work.is_own() {
+        return Err(Unfit::Other);
+    }
     let state = State::load(work, options, tuning.top_bytes)?;
-    let (mesh, stage) = match &state.reached {
+    let (joined, parts, chunks) = match &state.reached {
         Reached::Scanned(scanned) => {
             work.keep(&["state"].iter().chain(&scanned::SPOOLS).copied().collect::<Vec<_>>());
-            return scanned::taken_up(scanned, state.beside(), work, tuning).map(Left::Scanned);
+            return scanned::taken_up(scanned, state.beside(), work, tuning, monitor).map(Left::Scanned);
         }
-        Reached::Joined { joined, chunks: Some(chunks), .. } => {
-            let end = chunks.iter().map(ChunkState::end).max().unwrap_or(0);
-            let chunks = chunks.iter().map(ChunkState::chunk).collect();
+        Reached::Joined { joined, parts, chunks } => (joined, *parts, chunks),
+    };
+    if joined.materials.len() > tuning.noted_materials {
+        return Err(Unfit::Other);
+    }
+    let mesh = Mesh::of(joined);
+    let told = Told { options, state: joined, mesh: &mesh, parts, monitor };
+    if !told.counts_agree() {
+        return Err(Unfit::lies(work, "state"));
+    }
+    let stage = match chunks {
+        Some(chunks) => {
+            let chunks: Vec<Chunk> = chunks.iter().map(ChunkState::chunk).collect();
             work.keep(&["state", "chunks0", "pages", "progress"]);
-            (Mesh::of(joined), Stage::Sorted(Spool::reopen(work, "chunks0", end)?, chunks))
+            Stage::Sorted(told.chunks(work, "chunks0", &chunks)?, chunks)
         }
-        Reached::Joined { joined, parts, chunks: None } => {
-            let name = if *parts { "parts" } else { "records" };
+        None => {
+            let name = if parts { "parts" } else { "records" };
             work.keep(&["state", name]);
-            (Mesh::of(joined), Stage::Joined(Spool::reopen(work, name, joined.record_words)?, None))
+            Stage::Joined(told.records(work, name)?, None)
         }
     };
-    Some(Left::Joined(Triangles { mesh, stage, state: Some(state) }))
+    Ok(Left::Joined(Triangles { mesh, stage, state: Some(state) }))
 }
 
 impl Mesh {
-    fn state(&self, record_words: u64) -> JoinedState {
-        let numbers = [self.points, self.vertices, self.triangles, record_words];
+    fn state(&self, records: &Spool<'_>) -> JoinedState {
+        let numbers = [self.points, self.vertices, self.triangles, records.len(), records.checksum()];
         JoinedState::new(&self.tally, self.layout, numbers, &self.materials)
     }
 
@@ -181,15 +200,23 @@ fn check_joined(tally: &Tally, options: &BuildOptions, monitor: Monitor<'_>) -> 
                 dropped.degenerate, dropped.non_finite, dropped.bad_index, dropped.too_few_corners
             );
         }
-        if let Some(origin) = suggestion(tally, options) {
-            what += &format!("; it lies far from zero, where single precision merges vertices: try --origin {origin}");
-        }
+        what += &match suggestion(tally, options) {
+            Some(origin) => {
+                format!("; it lies far from zero, where single precision merges vertices: try --origin {origin}")
+            }
+            None if dropped.degenerate > 0 && options.positions != Positions::Exact => {
+                String::from("; the step of the grid may be too large for it: give a smaller one, or none")
+            }
+            None if dropped != Default::default() => String::from("; mend them in the program that made the mesh"),
+            None => String::from("; name a mesh that has faces"),
+        };
         return Err(Error::Input { file: options.source_name(), what });
     }
     warn_if_merged(tally, options, monitor);
     if tally.polygons.fanned > 0 {
         monitor.warn(format!(
-            "{} faces have more than {CLIP_LIMIT} corners and were cut as fans, which overlap where a face is concave",
+            "{} faces have more than {CLIP_LIMIT} corners and were cut as fans, which overlap where a face is concave; \
+             cut them in the program that made the mesh if they are",
             tally.polygons.fanned
         ));
     }

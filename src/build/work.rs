@@ -4,15 +4,18 @@
 //! a small mesh never needs it. The output's partial file, which is locked while a build runs, guards it as well.
 
 use std::fs::{self, File, OpenOptions};
+use std::io::Read;
 use std::path::{Path, PathBuf};
 
 use xxhash_rust::xxh3::xxh3_64;
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 
 /// A folder for temporary files, removed with all that is in it when the value goes. Only a process that is killed leaves it.
 pub(super) struct WorkFolder {
     path: PathBuf,
+    /// Whose files this process makes there, where the system tells.
+    owner: Option<u32>,
 }
 
 impl WorkFolder {
@@ -21,8 +24,9 @@ impl WorkFolder {
     ///
     /// Fails if nothing can be written in `temp`, which is tried, so that it is told before a long scan.
     pub fn new(temp: &Path, output: &Path, first: bool) -> Result<WorkFolder> {
-        tempfile::tempfile_in(temp).map_err(Error::io(temp, "create a temporary file in this folder"))?;
-        let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+        let failed = || Error::io(temp, "create a temporary file in this folder");
+        let owner = owner(&tempfile::tempfile_in(temp).and_then(|file| file.metadata()).map_err(failed())?);
+        let folder = folder_of(output);
         // Whatever way leads there.
         let folder =
             folder.canonicalize().or_else(|_| std::path::absolute(folder)).unwrap_or_else(|_| folder.to_owned());
@@ -31,7 +35,12 @@ impl WorkFolder {
         let name: String = output.file_name().unwrap_or_default().to_string_lossy().chars().take(50).collect();
         let hash = xxh3_64(whole.as_os_str().as_encoded_bytes()) as u32;
         let unique = if first { String::new() } else { format!("-{}", std::process::id()) };
-        Ok(WorkFolder { path: temp.join(format!(".{name}-{hash:08x}{unique}.octbuild")) })
+        Ok(WorkFolder { path: temp.join(format!(".{name}-{hash:08x}{unique}.octbuild")), owner })
+    }
+
+    /// Whether it is a folder of this user's, not somebody else's, nor a link.
+    pub fn is_own(&self) -> bool {
+        fs::symlink_metadata(&self.path).is_ok_and(|data| data.is_dir() && owner(&data) == self.owner)
     }
 
     /// The folder that it lies in.
@@ -56,29 +65,65 @@ impl WorkFolder {
 
     /// A new, empty file of that name in it.
     pub fn create(&self, name: &str) -> Result<File> {
-        fs::create_dir_all(&self.path).map_err(Error::io(&self.path, "create this folder for temporary files"))?;
+        let failed = || Error::io(&self.path, "create this folder for temporary files");
+        fs::create_dir_all(&self.path).map_err(failed())?;
+        if !self.is_own() {
+            return Err(failed()(std::io::ErrorKind::PermissionDenied.into()));
+        }
+        // What has the name is not written over: it may be a link to something else.
+        self.remove(name);
         let mut options = OpenOptions::new();
         let path = self.path.join(name);
-        options.read(true).write(true).create(true).truncate(true).open(&path).map_err(Error::io(&path, "create"))
+        options.read(true).write(true).create_new(true).open(&path).map_err(Error::io(&path, "create"))
     }
 
-    /// A file that an earlier build left.
+    /// A file that an earlier build left; a link, a pipe or a folder is none.
     pub fn reopen(&self, name: &str) -> Result<File> {
         let path = self.path.join(name);
-        OpenOptions::new().read(true).write(true).open(&path).map_err(Error::io(&path, "open again"))
+        let is_file = fs::symlink_metadata(&path).map(|data| data.is_file());
+        let file = match is_file {
+            Ok(true) => OpenOptions::new().read(true).write(true).open(&path),
+            Ok(false) => Err(std::io::ErrorKind::InvalidInput.into()),
+            Err(error) => Err(error),
+        };
+        file.map_err(Error::io(&path, "open again"))
+    }
+
+    /// The first `bytes` of a file that an earlier build left, if there are so many.
+    pub fn read(&self, name: &str, bytes: u64) -> Option<Vec<u8>> {
+        let mut file = self.reopen(name).ok()?;
+        let mut read = vec![0; (file.metadata().ok()?.len() >= bytes).then_some(bytes as usize)?];
+        file.read_exact(&mut read).ok()?;
+        Some(read)
+    }
+
+    /// Bytes of a file that an earlier build left; 0 if there is none.
+    pub fn bytes(&self, name: &str) -> u64 {
+        fs::symlink_metadata(self.path.join(name)).ok().filter(fs::Metadata::is_file).map_or(0, |data| data.len())
     }
 
     /// Removes all files but these: what an earlier build had no time to remove.
     pub fn keep(&self, names: &[&str]) {
         let files = fs::read_dir(&self.path).into_iter().flatten().flatten();
         let others = files.filter(|file| !names.iter().any(|name| *name == file.file_name()));
-        others.for_each(|file| drop(fs::remove_file(file.path())));
+        others.for_each(|file| drop(fs::remove_file(file.path()).or_else(|_| fs::remove_dir_all(file.path()))));
     }
 
     /// Removes a file; that is no error if there is none.
     pub fn remove(&self, name: &str) {
         let _ = fs::remove_file(self.path.join(name));
     }
+}
+
+/// Whose a file is, where the system tells.
+#[cfg(unix)]
+fn owner(data: &fs::Metadata) -> Option<u32> {
+    Some(std::os::unix::fs::MetadataExt::uid(data))
+}
+
+#[cfg(not(unix))]
+fn owner(_: &fs::Metadata) -> Option<u32> {
+    None
 }
 
 impl Drop for WorkFolder {

@@ -8,6 +8,8 @@ use std::fs::{self, File, OpenOptions};
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crate::error::folder_of;
+
 /// A partial file; removed when dropped, unless it got its name before.
 pub(super) struct Part {
     pub file: File,
@@ -23,7 +25,7 @@ impl Part {
         let mut name = std::ffi::OsString::from(".");
         name.push(target.file_name().unwrap_or_default());
         name.push(".part");
-        let path = folder(target).join(name);
+        let path = folder_of(target).join(name);
         if let Some(file) = open_locked(&path).map_err(plain)? {
             return Ok(Part { file, path, is_first: true, persisted: false });
         }
@@ -31,7 +33,7 @@ impl Part {
         builder.prefix(".octrace-").suffix(".part");
         #[cfg(unix)]
         builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666)); // less the umask, as for any new file
-        let (file, path) = builder.tempfile_in(folder(target))?.keep().map_err(|e| e.error)?;
+        let (file, path) = builder.tempfile_in(folder_of(target))?.keep().map_err(|e| e.error)?;
         Ok(Part { file, path, is_first: false, persisted: false })
     }
 
@@ -59,7 +61,8 @@ fn open_locked(path: &Path) -> io::Result<Option<File>> {
         if file.try_lock().is_err() {
             return Ok(None);
         }
-        if is_at(&file, path) {
+        // A link would lead to somebody else's file; a pipe or a device is none.
+        if is_at(&file, path) && file.metadata()?.is_file() {
             return Ok(Some(file));
         }
     }
@@ -70,7 +73,7 @@ fn open_locked(path: &Path) -> io::Result<Option<File>> {
 #[cfg(unix)]
 fn is_at(file: &File, path: &Path) -> bool {
     use std::os::unix::fs::MetadataExt;
-    match (file.metadata(), fs::metadata(path)) {
+    match (file.metadata(), fs::symlink_metadata(path)) {
         (Ok(a), Ok(b)) => (a.dev(), a.ino()) == (b.dev(), b.ino()),
         _ => false,
     }
@@ -85,11 +88,6 @@ fn is_at(_: &File, path: &Path) -> bool {
 /// The error without its number, so that its text is made from its kind.
 fn plain(error: io::Error) -> io::Error {
     io::Error::new(error.kind(), error.to_string())
-}
-
-/// The folder that a file lies in.
-pub(super) fn folder(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]

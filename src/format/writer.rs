@@ -4,16 +4,18 @@
 //! one leaves can be taken up again ([`OctWriter::resume`]). Only the page records are held in memory (32 bytes a page);
 //! pages go out as they come.
 
+mod top;
+
 use std::fs::File;
-use std::io::{BufWriter, Read, Seek, SeekFrom, Write};
+use std::io::{BufWriter, Seek, SeekFrom, Write};
 use std::path::{Path, PathBuf};
 
-use super::part::{Part, folder};
+use super::part::Part;
 use super::{
-    Brick, Flags, HEADER_BYTES, Head, Header, MAGIC, MaterialRecord, Node, PageHeader, PageId, PageRecord, Section,
-    SectionKind, Surrogate, VERSION, checksum, unpack_into,
+    Brick, Flags, HEADER_BYTES, Header, MAGIC, MaterialRecord, Node, PageHeader, PageId, PageRecord, Surrogate,
+    VERSION, checksum,
 };
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 
 /// Bytes gathered before they are written.
 const BUFFER_BYTES: usize = 1 << 20;
@@ -95,11 +97,29 @@ impl OctWriter {
     }
 
     /// Goes on after the pages of `records`, which an earlier writer has written and [`OctWriter::flush`]ed. False, and
-    /// nothing is changed, if its file is not there, has another `mark`, or is too short.
-    pub fn resume(&mut self, records: Vec<PageRecord>, mark: u64) -> Result<bool> {
-        let end = records.last().map_or(HEADER_BYTES as u64, |last| last.offset + u64::from(last.stored_bytes));
-        if !self.is_first() || self.left() < end || self.read_back(0, 16)? != [[0; 8], mark.to_le_bytes()].concat() {
+    /// nothing is changed, if its file is not there, has another `mark`, is too short, or holds a page with another checksum or that
+    /// `is_sound`, given its number and its bytes as stored, does not take. All pages are read, one at a time.
+    pub fn resume(
+        &mut self,
+        records: Vec<PageRecord>,
+        mark: u64,
+        is_sound: &mut dyn FnMut(usize, &[u8]) -> bool,
+    ) -> Result<bool> {
+        let mut end = HEADER_BYTES as u64;
+        let head = [&[0; 8][..], &mark.to_le_bytes(), &[0; HEADER_BYTES - 16]].concat();
+        if !self.is_first() || self.left() < end || self.read_back(0, HEADER_BYTES)? != head {
             return Ok(false);
+        }
+        for (i, record) in records.iter().enumerate() {
+            let stop = record.offset.checked_add(record.stored_bytes.into());
+            let gap = record.offset.checked_sub(end).filter(|&gap| gap < HEADER_BYTES as u64);
+            let (Some(stop), Some(gap)) = (stop.filter(|&stop| stop <= self.left()), gap) else { return Ok(false) };
+            let gap = self.read_back(end, gap as usize)?;
+            let page = self.read_back(record.offset, record.stored_bytes as usize)?;
+            if gap.iter().any(|&byte| byte != 0) || checksum(&page) != record.checksum || !is_sound(i, &page) {
+                return Ok(false);
+            }
+            end = stop;
         }
         self.go_to(end)?;
         self.records = records;
@@ -185,84 +205,6 @@ impl OctWriter {
         Ok(header.file_bytes)
     }
 
-    /// Writes the sections and returns their directory.
-    fn write_top(&mut self, top: &mut Top<'_>, records: &[PageRecord], flags: Flags) -> Result<[Section; 16]> {
-        let sections: [(SectionKind, bool, &[u8]); 5] = [
-            (SectionKind::TopNodes, !top.nodes.is_empty(), bytemuck::cast_slice(top.nodes)),
-            (SectionKind::Bricks, true, bytemuck::cast_slice(top.bricks)),
-            (SectionKind::Pages, true, bytemuck::cast_slice(records)),
-            (SectionKind::Materials, !top.materials.is_empty(), bytemuck::cast_slice(top.materials)),
-            (SectionKind::Strings, !top.materials.is_empty(), top.strings),
-        ];
-        let mut directory = Vec::with_capacity(SectionKind::COUNT);
-        for (kind, _, bytes) in sections.into_iter().filter(|(_, wanted, _)| *wanted) {
-            directory.push(self.section(kind, bytes)?);
-        }
-        if flags.has(Flags::DETAIL) {
-            let (heads, places, roots) = self.write_heads(records, flags)?;
-            let tops = (top.surrogates)(top.bricks, &roots);
-            directory.extend([heads, self.section(SectionKind::HeadPlaces, bytemuck::cast_slice(&places))?]);
-            if !top.nodes.is_empty() {
-                directory.push(self.section(SectionKind::TopSurrogates, bytemuck::cast_slice(&tops))?);
-            }
-        }
-        directory.resize(16, Section::default());
-        Ok(std::array::from_fn(|i| directory[i]))
-    }
-
-    /// Writes a section.
-    fn section(&mut self, kind: SectionKind, bytes: &[u8]) -> Result<Section> {
-        self.align(64)?;
-        let (offset, bytes_long) = (self.position, bytes.len() as u64);
-        self.write(bytes)?;
-        Ok(Section { kind: kind as u32, zero: 0, offset, bytes: bytes_long, checksum: checksum(bytes) })
-    }
-
-    /// Writes the heads of all pages, which are read back for that: their section, their places in it, and the bricks' surrogates.
-    fn write_heads(&mut self, records: &[PageRecord], flags: Flags) -> Result<(Section, Vec<u32>, Vec<Surrogate>)> {
-        self.align(64)?;
-        let (offset, mut hash) = (self.position, xxhash_rust::xxh3::Xxh3::new());
-        let (mut places, mut roots) = (Vec::with_capacity(records.len()), Vec::with_capacity(records.len()));
-        let mut waiting = Vec::new();
-        for (i, record) in records.iter().enumerate() {
-            let written = self.position - offset + waiting.len() as u64;
-            places.push((written / 64) as u32);
-            let head = self.head(record, flags)?;
-            let head = head.filter(|head| !head.surrogates.is_empty());
-            let head = head.ok_or_else(|| self.misuse(format!("page {i} has no surrogates")))?;
-            roots.push(head.surrogates[0]);
-            head.store(&mut waiting);
-            if waiting.len() >= BUFFER_BYTES || i + 1 == records.len() {
-                hash.update(&waiting);
-                self.seek(self.position)?;
-                self.write(&waiting)?;
-                waiting.clear();
-            }
-        }
-        let bytes = self.position - offset;
-        let section = Section { kind: SectionKind::Heads as u32, zero: 0, offset, bytes, checksum: hash.digest() };
-        Ok((section, places, roots))
-    }
-
-    /// The head of a page that was written.
-    fn head(&mut self, record: &PageRecord, flags: Flags) -> Result<Option<Head>> {
-        if !flags.has(Flags::PACKED) {
-            return Head::of_page(|at, bytes| self.read_back(record.offset + at as u64, bytes));
-        }
-        let stored = self.read_back(record.offset, record.stored_bytes as usize)?;
-        let mut page = vec![0; record.bytes as usize];
-        unpack_into(&stored, &mut page).map_err(|what| self.misuse(what))?;
-        Head::of_page(|at, bytes| Ok(page.get(at..at + bytes).unwrap_or_default().to_vec()))
-    }
-
-    /// Reads what was written. The next byte to be written then has to be sought again.
-    fn read_back(&mut self, offset: u64, bytes: usize) -> Result<Vec<u8>> {
-        self.seek(offset)?;
-        let mut read = vec![0; bytes];
-        self.part.file.read_exact(&mut read).map_err(Error::io(&self.path, "read back"))?;
-        Ok(read)
-    }
-
     /// Hands what waits to the system and goes to an offset, without cutting anything off.
     fn seek(&mut self, offset: u64) -> Result<()> {
         self.file.seek(SeekFrom::Start(offset)).map_err(Error::io(&self.path, "seek in")).map(|_| ())
@@ -276,7 +218,7 @@ impl OctWriter {
         file.write_all(bytemuck::bytes_of(header)).map_err(Error::io(&path, "write"))?;
         file.sync_all().map_err(Error::io(&path, "sync"))?;
         self.part.persist(&self.target).map_err(Error::io(&path, "rename its temporary file to"))?;
-        sync_folder(folder(&self.target)).map_err(Error::io(&path, "sync the folder of"))
+        sync_folder(folder_of(&self.target)).map_err(Error::io(&path, "sync the folder of"))
     }
 
     /// Writes zeros up to the next multiple.
@@ -372,9 +314,14 @@ mod tests {
         drop(writer);
         fs::write(&part, [&left[..], b"and half of a page"].concat()).unwrap();
         let mut writer = OctWriter::open(&path).unwrap();
-        assert!(!writer.resume(vec![PageRecord { offset: 1 << 20, ..records[0] }], 77).unwrap());
-        assert!(!writer.resume(records.clone(), 78).unwrap(), "what another writer left");
-        assert!(writer.resume(records, 77).unwrap());
+        let all = &mut |_: usize, _: &[u8]| true;
+        let far = PageRecord { offset: 1 << 20, ..records[0] };
+        let rotten = PageRecord { checksum: 7, ..records[1] };
+        assert!(!writer.resume(vec![far], 77, all).unwrap());
+        assert!(!writer.resume(vec![records[0], rotten], 77, all).unwrap());
+        assert!(!writer.resume(records.clone(), 78, all).unwrap(), "what another writer left");
+        assert!(!writer.resume(records.clone(), 77, &mut |i, _| i == 0).unwrap(), "the second is not sound");
+        assert!(writer.resume(records, 77, &mut |i, stored| stored == page(i as u32)).unwrap());
         writer.append(&page(2)).unwrap();
         finish(writer, &mut [brick(); 3]).unwrap();
         assert!(fs::read(&path).unwrap() == whole);

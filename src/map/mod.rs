@@ -124,13 +124,17 @@ impl Octree {
     ///
     /// Errors: as [`Octree::open`].
     pub fn least_cache(path: &Path) -> Result<u64> {
-        let (_, header) = head(path)?;
-        Ok(least_cache(&header))
+        Ok(Octree::least_of(&Octree::header_of(path)?))
     }
 
     /// What [`Octree::least_cache`] says of this file.
     pub fn least(&self) -> u64 {
-        least_cache(&self.header)
+        Octree::least_of(&self.header)
+    }
+
+    /// The same of a file with that header: bytes of memory that one page takes at most.
+    pub fn least_of(header: &Header) -> u64 {
+        u64::from(header.largest_page).next_multiple_of(mmap::machine_page() as u64)
     }
 
     /// The header of a file, read by itself. Errors: as [`Octree::open`].
@@ -141,7 +145,7 @@ impl Octree {
     fn open_as(path: &Path, read: Option<Read>) -> Result<Octree> {
         let (file, header) = head(path)?;
         let read = read.unwrap_or_else(|| match header.flags.has(Flags::PACKED) {
-            true => Read::Budgeted { cache: least_cache(&header).max(half_of_free_memory()) },
+            true => Read::Budgeted { cache: Octree::least_of(&header).max(half_of_free_memory()) },
             false => Read::Mapped,
         });
         let refused = |what: String| Err(Error::Input { file: path.to_owned(), what });
@@ -152,8 +156,8 @@ impl Octree {
                 );
             }
             Read::Mapped => Pages::Mapped(Mapped::new(file, &header).map_err(Error::io(path, "map"))?),
-            Read::Budgeted { cache } if cache < least_cache(&header) => {
-                let least = least_cache(&header);
+            Read::Budgeted { cache } if cache < Octree::least_of(&header) => {
+                let least = Octree::least_of(&header);
                 return refused(format!(
                     "its largest page needs {least} bytes of memory, but pages may take {cache} in all; allow more (--memory)"
                 ));
@@ -179,7 +183,7 @@ impl Octree {
     /// Lets pages take so many bytes of memory from now on, at least what [`Octree::least_cache`] says. Nothing for a mapped file.
     pub fn set_cache(&self, bytes: u64) {
         if let Pages::Cached(cache) = &self.pages {
-            cache.set_budget(bytes.max(least_cache(&self.header)));
+            cache.set_budget(bytes.max(self.least()));
         }
     }
 
@@ -341,9 +345,4 @@ fn head(path: &Path) -> Result<(File, Header)> {
 /// Where the sections for level of detail begin, if there are any: after all others.
 fn heads_at(header: &Header) -> Option<u64> {
     header.sections.iter().filter(|s| s.kind >= SectionKind::Heads as u32).map(|s| s.offset).min()
-}
-
-/// Bytes of memory that one page takes at most.
-fn least_cache(header: &Header) -> u64 {
-    u64::from(header.largest_page).next_multiple_of(mmap::machine_page() as u64)
 }

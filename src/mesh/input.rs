@@ -148,7 +148,10 @@ impl Input {
         raw.by_ref().take(4).read_to_end(&mut head)?;
         let found = Codec::detect(&head);
         if let Some(promised) = self.promised.filter(|_| found != self.promised) {
-            let what = format!("its name says {0}, but its content is not {0} data", promised.name());
+            let what = format!(
+                "its name says {0}, but its content is not {0} data; rename it, or fetch it again",
+                promised.name()
+            );
             return Ok(Err(Error::Input { file: self.error_path(), what }));
         }
         let whole = Cursor::new(head).chain(raw);

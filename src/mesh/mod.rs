@@ -118,13 +118,20 @@ fn form_of(path: &Path) -> Result<(Form, Option<Codec>)> {
     let form = [(".obj", Form::Obj), (".ply", Form::Ply), (".stl", Form::Stl)].into_iter();
     match form.into_iter().find(|(suffix, _)| stem.ends_with(suffix)) {
         Some((_, form)) => Ok((form, codec)),
-        None => Err(Error::Input {
-            file: path.to_owned(),
-            what:
-                "not a mesh format this program knows by its name; it reads .obj, .ply and .stl, each also with .gz or \
-                   .zst, and - for OBJ on standard input"
-                    .into(),
-        }),
+        None => {
+            let what = match () {
+                _ if path.is_dir() => "this is a folder; name the mesh file in it",
+                _ if name.ends_with(".oct") => {
+                    "this is an octree file by its name, and a mesh is wanted; name the mesh, or give octrender, octtrace or \
+                     octinfo this file as it is"
+                }
+                _ => {
+                    "not a mesh format this program knows by its name; it reads .obj, .ply and .stl, each also with .gz or \
+                     .zst, and - for OBJ on standard input"
+                }
+            };
+            Err(Error::Input { file: path.to_owned(), what: what.into() })
+        }
     }
 }
 

@@ -85,17 +85,17 @@ fn read(path: &Path, monitor: Monitor<'_>, take: &mut dyn FnMut(MaterialInfo) ->
     }
     if bad_count > 0 {
         let lines = list(bad.into_iter(), bad_count);
-        monitor.warn(format!("{}: lines that make no sense are ignored: {lines}", path.display()));
+        monitor.warn(format!("{}: these lines make no sense and are ignored: {lines}", path.display()));
     }
     Ok(())
 }
 
-/// Finds the materials that a mesh uses by name in the libraries that it names, relative to its `folder`.
+/// Finds the materials that a mesh (its name is for warnings) uses by name in the libraries that it names, relative to its `folder`.
 ///
 /// A library that is missing and a material that no library defines are warnings; such a material has only its name.
 /// `None` if all of them would take more than `memory` bytes.
 pub(super) fn resolve(
-    folder: &Path,
+    (mesh, folder): (&str, &Path),
     libraries: &Names,
     used: Names,
     memory: u64,
@@ -112,7 +112,7 @@ pub(super) fn resolve(
             return None;
         }
         if let Err(error) = read {
-            monitor.warn(format!("{error}; its materials get the default look"));
+            monitor.warn(format!("{error}; the materials that {mesh} takes from it get the default look"));
         }
     }
     let Wanted { found, names, rank, .. } = wanted;
@@ -120,7 +120,7 @@ pub(super) fn resolve(
     let count = missing().count();
     if count > 0 {
         let names = list(missing().map(|i| format!("\"{}\"", names.name(i))), count);
-        monitor.warn(format!("no material library defines {names}: such faces get the default look"));
+        monitor.warn(format!("{mesh}: no material library defines {names}: such faces get the default look; define them in a file that mtllib names"));
     }
     Some(found)
 }

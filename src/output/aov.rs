@@ -31,9 +31,9 @@ pub enum AovFormat {
 impl AovFormat {
     /// By the suffix of a file's name; fails for all but `.exr` and `.png`.
     pub fn of(path: &Path) -> Result<AovFormat> {
-        match Format::of(path)?.0 {
-            ImageFormat::OpenExr => Ok(AovFormat::Exr),
-            ImageFormat::Png => Ok(AovFormat::Png),
+        match Format::of(path).map(|format| format.0) {
+            Ok(ImageFormat::OpenExr) => Ok(AovFormat::Exr),
+            Ok(ImageFormat::Png) => Ok(AovFormat::Png),
             _ => {
                 let what = "a picture of data is written as .exr (the numbers) or .png (false colours)";
                 Err(Error::Input { file: path.to_owned(), what: what.into() })

@@ -7,13 +7,14 @@
 mod aov;
 pub mod drawing;
 mod part;
+mod sheet;
 
 use std::io::{Cursor, Write};
 use std::path::Path;
 
 use image::{DynamicImage, ImageFormat, Rgb32FImage, RgbImage};
 
-use crate::error::{Error, Result};
+use crate::error::{Error, Result, folder_of};
 use crate::render::Film;
 use crate::scene::ToneMap;
 
@@ -76,12 +77,11 @@ fn write(bytes: &[u8], path: &Path) -> Result<()> {
     if real.metadata().is_ok_and(|m| !m.is_file() && !m.is_dir()) {
         return std::fs::write(&real, bytes).map_err(Error::io(path, "write"));
     }
-    let folder = real.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
     let mut builder = tempfile::Builder::new();
     builder.prefix(".octrace-").suffix(".tmp");
     #[cfg(unix)]
     builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.tempfile_in(folder).map_err(Error::create(path))?;
+    let mut file = builder.tempfile_in(folder_of(&real)).map_err(Error::create(path))?;
     file.write_all(bytes).map_err(Error::io(path, "write"))?;
     // Else a machine that fails soon after may leave an empty file under the new name.
     file.as_file().sync_all().map_err(Error::io(path, "write"))?;

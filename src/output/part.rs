@@ -1,8 +1,8 @@
 //! Shares of a picture as files, which travel from machine to machine: OpenEXR, f32, ZIP.
 //!
 //! The tiles of a share lie side by side, in rows of about as many as there are rows, in the order of the curve; the room of tiles
-//! that are cut at the picture's edge is zero. The text attribute `octracePart` holds a JSON object that says which tiles
-//! these are, of which share and picture, and a checksum of it all.
+//! that are cut at the picture's edge is zero. Pictures of data of the share are further channels (`sheet.rs`). The text attribute `octracePart`
+//! holds a JSON object that says which tiles these are, of which share and picture, what data there is, and a checksum of it all.
 //!
 //! A part may have been written by anybody: what it says of itself is held to what its share must have before memory is taken for its pixels,
 //! and its checksum to them after.
@@ -15,30 +15,25 @@ use std::rc::Rc;
 
 use bytemuck::cast_slice;
 use exr::block::reader::Reader;
-use exr::meta::attribute::{AttributeValue, SampleType, Text};
-use exr::meta::header::Header;
-use exr::prelude::{
-    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, ReadChannels, ReadLayers,
-    WritableImage,
-};
+use exr::meta::attribute::{AttributeValue, Text};
+use exr::prelude::{Encoding, Image, Layer, LayerAttributes, ReadChannels, ReadLayers, WritableImage};
 use serde::{Deserialize, Serialize};
 use xxhash_rust::xxh3::Xxh3;
 
+use super::sheet::Sheet;
 use super::write;
 use crate::error::{Error, Result};
-use crate::render::{Identity, Portion, Share, Tiling};
+use crate::render::{AovKind, Identity, Portion, Share, Tiling, Values};
 use crate::scene::ToneMap;
 
 /// The attribute that makes an EXR file a part.
 const ATTRIBUTE: &str = "octracePart";
 /// The version of what it says.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Most bytes before the pixels.
 const MOST_HEAD: u64 = 8 << 20;
 /// ZIP packs no tighter than 1:1032; the rest is for tables.
 const TIGHTEST: u64 = 1100;
-/// In the order of the alphabet, as EXR wants it, and where each stands in a pixel.
-const CHANNELS: [(&str, usize); 3] = [("B", 2), ("G", 1), ("R", 0)];
 
 /// What the attribute says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -59,7 +54,9 @@ struct Said {
     tile: u32,
     /// Where the tiles stand along the curve.
     tiles: Vec<u32>,
-    /// Of all before, and of the pixels.
+    /// Names of the pictures of data.
+    data: Vec<String>,
+    /// Of all before, of the pixels, and of the values of each picture of data.
     checksum: String,
 }
 
@@ -72,31 +69,10 @@ pub struct Part {
     pub identity: Identity,
     /// Which share it is.
     pub share: Share,
+    /// Which pictures of data it has.
+    pub data: Vec<AovKind>,
     said: Said,
     tiling: Tiling,
-}
-
-/// Where the tiles lie in a part.
-struct Sheet {
-    columns: usize,
-    size: [usize; 2],
-}
-
-impl Sheet {
-    fn of(tiling: &Tiling) -> Sheet {
-        let (count, side) = (tiling.cells.len(), tiling.side as usize);
-        let columns = count.isqrt().max(1);
-        Sheet { columns, size: [columns * side, count.div_ceil(columns) * side] }
-    }
-
-    /// The index of each pixel of the tiles, tile after tile, rows from the top.
-    fn pixels(&self, tiling: &Tiling) -> impl Iterator<Item = usize> {
-        let (columns, width, side) = (self.columns, self.size[0], tiling.side as usize);
-        tiling.places().enumerate().flat_map(move |(i, [x0, y0, x1, y1])| {
-            let corner = (i / columns * side) * width + i % columns * side;
-            (0..(y1 - y0) as usize).flat_map(move |y| (0..(x1 - x0) as usize).map(move |x| corner + y * width + x))
-        })
-    }
 }
 
 impl Said {
@@ -115,24 +91,32 @@ impl Said {
             of: portion.share.of(),
             tile: tiling.side,
             tiles: tiling.numbers.clone(),
+            data: portion.data.iter().map(|data| data.0.name().to_owned()).collect(),
             checksum: String::new(),
         };
-        said.checksum = said.checksum_with(&portion.pixels);
+        said.checksum = said.checksum_with(&portion.pixels, &portion.data);
         said
     }
 
     /// What the checksum has to be.
-    fn checksum_with(&self, pixels: &[[f32; 3]]) -> String {
+    fn checksum_with(&self, pixels: &[[f32; 3]], data: &[(AovKind, Values)]) -> String {
         let mut hash = Xxh3::new();
         let blank = Said { checksum: String::new(), ..self.clone() };
         // Numbers, texts and lists of these are always JSON.
         hash.update(&serde_json::to_vec(&blank).unwrap_or_default());
         hash.update(cast_slice(pixels));
+        for (_, values) in data {
+            hash.update(match values {
+                Values::Scalar(values) => cast_slice(values),
+                Values::Vector(values) => cast_slice(values),
+                Values::Id(values) => cast_slice(values),
+            });
+        }
         format!("{:016x}", hash.digest())
     }
 
-    /// The picture, the share, and its tiles, if they make sense together; else what does not.
-    fn resolve(&self) -> Result<(Identity, Share, Tiling), String> {
+    /// The picture, the share, its tiles and its data, if they make sense together; else what does not.
+    fn resolve(&self) -> Result<(Identity, Share, Tiling, Vec<AovKind>), String> {
         if self.part != VERSION {
             return Err(format!("it is a part of version {}, and this program reads version {VERSION}", self.part));
         }
@@ -158,7 +142,12 @@ impl Said {
         if tiling.side != self.tile || tiling.numbers != self.tiles {
             return Err(format!("its tiles are not those of share {share}"));
         }
-        Ok((identity, share, tiling))
+        let data: Option<Vec<AovKind>> = self.data.iter().map(|name| AovKind::named(name)).collect();
+        let data = data.filter(|data| data.is_sorted_by(|a, b| a < b));
+        let data = data.ok_or_else(|| {
+            format!("its pictures of data are not known, or not each once and in order: {}", self.data.join(", "))
+        })?;
+        Ok((identity, share, tiling, data))
     }
 }
 
@@ -171,7 +160,7 @@ fn name(tonemap: ToneMap) -> &'static str {
 
 /// Writes a share as a part; it appears whole or not at all.
 ///
-/// Fails where the file cannot be written, and for a portion whose pixels are not those of its share.
+/// Fails where the file cannot be written, and for a portion whose pixels, or values of data, are not those of its share.
 pub fn save_part(portion: &Portion, path: &Path) -> Result<()> {
     write(&encode_part(portion)?, path)
 }
@@ -179,24 +168,24 @@ pub fn save_part(portion: &Portion, path: &Path) -> Result<()> {
 /// A part's bytes.
 pub fn encode_part(portion: &Portion) -> Result<Vec<u8>> {
     let tiling = Tiling::new(portion.identity.size(), portion.share)?;
-    if portion.pixels.len() != tiling.pixels() {
+    let count = |values: &Values| match values {
+        Values::Scalar(values) => values.len(),
+        Values::Vector(values) => values.len(),
+        Values::Id(values) => values.len(),
+    };
+    let mut counts = portion.data.iter().map(|data| count(&data.1)).chain([portion.pixels.len()]);
+    if counts.any(|count| count != tiling.pixels()) {
         return Err(Error::Option(format!("share {} has other pixels than its tiles", portion.share)));
     }
     let failed = |e: &dyn std::fmt::Display| Error::Option(format!("share {} as EXR: {e}", portion.share));
     let said = Said::of(portion, &tiling);
     let sheet = Sheet::of(&tiling);
     let [width, height] = sheet.size;
-    let channel = |(name, axis): (&str, usize)| {
-        let mut samples = vec![0.0; width * height];
-        sheet.pixels(&tiling).zip(&portion.pixels).for_each(|(at, pixel)| samples[at] = pixel[axis]);
-        AnyChannel::new(name, FlatSamples::F32(samples))
-    };
     let text = serde_json::to_string(&said).map_err(|e| failed(&e))?;
     let mut attributes = LayerAttributes::default();
     attributes.other.insert(Text::from(ATTRIBUTE), AttributeValue::Text(Text::from(text.as_str())));
-    let channels = AnyChannels::sort(CHANNELS.into_iter().map(channel).collect());
     let mut bytes = Cursor::new(Vec::new());
-    let layer = Layer::new((width, height), attributes, Encoding::SMALL_LOSSLESS, channels);
+    let layer = Layer::new((width, height), attributes, Encoding::SMALL_LOSSLESS, sheet.channels(portion));
     Image::from_layer(layer).write().non_parallel().to_buffered(&mut bytes).map_err(|e| failed(&e))?;
     Ok(bytes.into_inner())
 }
@@ -209,7 +198,7 @@ impl Part {
         Ok(begin(path)?.0)
     }
 
-    /// Reads its pixels.
+    /// Reads its pixels, and those of its pictures of data.
     pub fn read(&self) -> Result<Portion> {
         let wrong = |what: &str| damaged(&self.path, what);
         let (again, reader) = begin(&self.path)?;
@@ -218,23 +207,16 @@ impl Part {
         }
         let layers = exr::prelude::read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
         let image = layers.all_attributes().non_parallel().from_chunks(reader).map_err(|e| wrong(&e.to_string()))?;
-        let samples: Option<Vec<&[f32]>> = image
-            .layer_data
-            .channel_data
-            .list
-            .iter()
-            .map(|channel| match &channel.sample_data {
-                FlatSamples::F32(samples) => Some(samples.as_slice()),
-                _ => None,
-            })
-            .collect();
-        let Some(&[blue, green, red]) = samples.as_deref() else { return Err(wrong("its channels are not f32")) };
-        let sheet = Sheet::of(&self.tiling);
-        let pixels: Vec<[f32; 3]> = sheet.pixels(&self.tiling).map(|at| [red[at], green[at], blue[at]]).collect();
-        if self.said.checksum_with(&pixels) != self.said.checksum {
+        let (sheet, channels) = (Sheet::of(&self.tiling), &image.layer_data.channel_data.list);
+        let values = |&kind: &AovKind| Some((kind, sheet.values(channels, kind)?));
+        let data: Option<Vec<(AovKind, Values)>> = self.data.iter().map(values).collect();
+        let (Some(pixels), Some(data)) = (sheet.colors(channels), data) else {
+            return Err(wrong("its channels are not those that it says"));
+        };
+        if self.said.checksum_with(&pixels, &data) != self.said.checksum {
             return Err(wrong("its checksum is wrong"));
         }
-        Ok(Portion { identity: self.identity.clone(), share: self.share, pixels })
+        Ok(Portion { identity: self.identity.clone(), share: self.share, pixels, data })
     }
 }
 
@@ -253,36 +235,25 @@ fn begin(path: &Path) -> Result<(Part, Reader<BufReader<Limited>>)> {
     }
     let left = Rc::new(Cell::new(MOST_HEAD));
     let limited = Limited { file, left: left.clone() };
-    let reader = exr::block::read(BufReader::new(limited), false).map_err(|e| wrong(&e.to_string()))?;
+    let reader = exr::block::read(BufReader::new(limited), false)
+        .map_err(|e| wrong(&format!("it cannot be read as EXR ({e})")))?;
     let [header] = reader.headers() else { return Err(wrong("it has several layers")) };
     let text = header.own_attributes.other.get(&Text::from(ATTRIBUTE));
     let Some(AttributeValue::Text(text)) = text else {
         return Err(wrong("it is a picture, but no part: it was not made with --shard"));
     };
     let said: Said = serde_json::from_str(&text.to_string()).map_err(|e| wrong(&format!("{ATTRIBUTE}: {e}")))?;
-    let (identity, share, tiling) = said.resolve().map_err(|what| wrong(&what))?;
-    let size = Sheet::of(&tiling).size;
-    if !fits(header, size) {
+    let (identity, share, tiling, data) = said.resolve().map_err(|what| wrong(&what))?;
+    let sheet = Sheet::of(&tiling);
+    if !sheet.fits(header, &data) {
         return Err(wrong("its size and channels are not those of its share"));
     }
-    if metadata.len().saturating_mul(TIGHTEST) < 12 * size[0] as u64 * size[1] as u64 {
+    let bytes = [sheet.size[0], sheet.size[1], 4 * header.channels.list.len()].map(|x| x as u64).iter().product();
+    if metadata.len().saturating_mul(TIGHTEST) < bytes {
         return Err(wrong("it is cut short"));
     }
     left.set(u64::MAX);
-    Ok((Part { path: path.to_owned(), identity, share, said, tiling }, reader))
-}
-
-/// Whether a header is that of a part with a sheet of this size.
-fn fits(header: &Header, size: [usize; 2]) -> bool {
-    let channels = &header.channels.list;
-    let right = |(channel, (name, _)): (&exr::meta::attribute::ChannelDescription, (&str, usize))| {
-        channel.name == *name && channel.sample_type == SampleType::F32 && channel.sampling.area() == 1
-    };
-    let one_level = header.blocks == exr::meta::BlockDescription::ScanLines && !header.deep;
-    [header.layer_size.x(), header.layer_size.y()] == size
-        && one_level
-        && channels.len() == CHANNELS.len()
-        && channels.iter().zip(CHANNELS).all(right)
+    Ok((Part { path: path.to_owned(), identity, share, data, said, tiling }, reader))
 }
 
 /// A file of which no more than so many bytes are read.
@@ -309,6 +280,7 @@ impl Seek for Limited {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::render::{Aov, Film};
 
     fn portion(size: [u32; 2], index: u32, of: u32) -> Portion {
         let share = Share::new(index, of).unwrap();
@@ -324,7 +296,20 @@ mod tests {
         let count = Tiling::new(size, share).unwrap().pixels();
         let value = |i: usize| (i as f32 * 0.37).sin() * 1e3 + 1e-30;
         let pixels = (0..count).map(|i| [value(i), -value(2 * i), f32::from_bits(i as u32)]).collect();
-        Portion { identity, share, pixels }
+        Portion { identity, share, pixels, data: Vec::new() }
+    }
+
+    /// The same with pictures of data, one of each form.
+    fn with_data(portion: Portion) -> Portion {
+        let count = portion.pixels.len();
+        let id = |i: usize| u32::MAX - (i as u32).wrapping_mul(0x9e37_79b9);
+        let depths = (0..count).map(|i| if i % 5 == 0 { f32::INFINITY } else { f32::from_bits(i as u32) }).collect();
+        let data = vec![
+            (AovKind::Depth, Values::Scalar(depths)),
+            (AovKind::Normal, Values::Vector((0..count).map(|i| [i as f32, -0.0, 1.0 / i as f32]).collect())),
+            (AovKind::Face, Values::Id((0..count).map(id).collect())),
+        ];
+        Portion { data, ..portion }
     }
 
     #[test]
@@ -332,13 +317,34 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for (size, of) in [([64, 48], 5), ([1, 1], 1), ([100, 37], 3)] {
             for index in 0..of {
-                let portion = portion(size, index, of);
+                let plain = portion(size, index, of);
                 let path = folder.path().join("part.exr");
-                save_part(&portion, &path).unwrap();
-                let part = Part::open(&path).unwrap();
-                assert_eq!((&part.identity, part.share), (&portion.identity, portion.share));
-                assert_eq!(part.read().unwrap(), portion);
+                for portion in [plain.clone(), with_data(plain)] {
+                    save_part(&portion, &path).unwrap();
+                    let part = Part::open(&path).unwrap();
+                    assert_eq!((&part.identity, part.share), (&portion.identity, portion.share));
+                    assert!(part.data.iter().eq(portion.data.iter().map(|data| &data.0)));
+                    let read = part.read().unwrap();
+                    assert_eq!(read, portion);
+                    // As bytes, where a sign of zero counts.
+                    assert!(encode_part(&read).unwrap() == std::fs::read(&path).unwrap());
+                }
             }
+        }
+    }
+
+    #[test]
+    fn data_that_does_not_fit_is_refused() {
+        let mut short = with_data(portion([64, 48], 0, 5));
+        short.data[2].1 = AovKind::Face.nothing(7);
+        assert!(encode_part(&short).unwrap_err().to_string().contains("other pixels than its tiles"));
+        let mut film = Film::new(64, 48).unwrap();
+        let whole = with_data(portion([64, 48], 0, 5));
+        whole.put(&mut film).unwrap();
+        for (kind, size, fits) in
+            [(AovKind::Depth, [64, 48], true), (AovKind::Depth, [48, 64], false), (AovKind::Cost, [64, 48], false)]
+        {
+            assert_eq!(whole.put_aov(&mut Aov::new(kind, size).unwrap()).is_ok(), fits, "{kind:?} {size:?}");
         }
     }
 
@@ -346,7 +352,8 @@ mod tests {
     fn hostile_parts_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("part.exr");
-        let good = encode_part(&portion([64, 48], 1, 4)).unwrap();
+        let whole = with_data(portion([64, 48], 1, 4));
+        let good = encode_part(&whole).unwrap();
         let read = |bytes: &[u8]| {
             std::fs::write(&path, bytes).unwrap();
             Part::open(&path).and_then(|part| part.read())
@@ -360,7 +367,7 @@ mod tests {
                 bytes[at] ^= bit;
                 match read(&bytes) {
                     Ok(portion) => {
-                        assert!(portion == super::tests::portion([64, 48], 1, 4), "byte {at}");
+                        assert!(portion == whole, "byte {at}");
                         taken += 1;
                     }
                     Err(error) => assert!(error.to_string().contains("part.exr"), "{error}"),
@@ -377,10 +384,14 @@ mod tests {
             bytes[at..at + with.len()].copy_from_slice(with.as_bytes());
             read(&bytes).unwrap_err().to_string()
         };
-        assert!(error("\"part\":1", "\"part\":2").contains("version 2"));
+        assert!(error("\"part\":2", "\"part\":3").contains("version 3"));
         assert!(error("\"share\":1", "\"share\":2").contains("tiles are not those of share 2/4"));
         assert!(error("\"size\":[67,49]", "\"size\":[67,4] ").contains("no picture"));
         assert!(error("\"samples\":4", "\"samples\":9").contains("checksum"));
+        assert!(error("\"depth\",\"normal\"", "\"depth\",\"normed\"").contains("in order: depth, normed, face"));
+        assert!(error("\"depth\",\"normal\"", "\"depth\",\"depth\" ").contains("in order: depth, depth, face"));
+        assert!(error("[\"depth\"", "[ \"cost\"").contains("in order: cost"));
+        assert!(error("\"face\"]", "\"cost\"]").contains("size and channels are not those of its share"));
         assert!(error(ATTRIBUTE, "octracePast").contains("no part"));
         // A few bytes that claim a whole wall of pixels.
         let claims = error("\"size\":[67,49],\"crop\":[2,1,66,49]", "\"size\":[67,49],\"crop\":[0,0,67,49]");

@@ -6,6 +6,7 @@ use std::sync::Mutex;
 use rayon::prelude::*;
 
 use super::film;
+use super::share::{Share, Tiling};
 use super::tiles::{Job, Settings};
 use crate::error::{Error, Result};
 use crate::event::Monitor;
@@ -15,7 +16,7 @@ use crate::shade::{Look, Wave, World};
 const WRITING: u64 = 24;
 
 /// What a picture of data shows.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum AovKind {
     /// Distance from the eye, in units of the world; infinite where nothing is met.
     Depth,
@@ -105,14 +106,23 @@ impl AovKind {
         if matches!(self, AovKind::Normal | AovKind::Position) { 12 } else { 4 }
     }
 
-    /// Values for so many pixels.
-    fn values(self, count: usize) -> Values {
+    /// The values of so many pixels in which nothing is met.
+    pub fn nothing(self, count: usize) -> Values {
         match self {
             AovKind::Normal | AovKind::Position => Values::Vector(vec![[0.0; 3]; count]),
             AovKind::Face | AovKind::Material => Values::Id(vec![u32::MAX; count]),
             AovKind::Depth => Values::Scalar(vec![f32::INFINITY; count]),
             AovKind::Cost | AovKind::Pages | AovKind::Reads | AovKind::Shadow => Values::Scalar(vec![0.0; count]),
         }
+    }
+}
+
+impl Aov {
+    /// A picture in which nothing is met; fails if memory does not allow it.
+    pub fn new(kind: AovKind, [width, height]: [u32; 2]) -> Result<Aov> {
+        let count = width as usize * height as usize;
+        film::room_for((kind.bytes() + WRITING) * count as u64, || format!("a picture of data of {width} x {height}"))?;
+        Ok(Aov { kind, width, height, values: kind.nothing(count) })
     }
 }
 
@@ -123,31 +133,66 @@ impl AovKind {
 pub fn aovs(world: &World, settings: &Settings, kinds: &[AovKind], monitor: Monitor<'_>) -> Result<Vec<Aov>> {
     let job = Job::new(world, settings)?;
     let (width, height) = (job.width, job.height);
-    monitor.phase("aov");
-    let count = width as usize * height as usize;
     let bytes = kinds.iter().map(|kind| kind.bytes()).sum::<u64>() + WRITING;
-    film::room_for(bytes * count as u64, || format!("{} pictures of data of {width} x {height}", kinds.len()))?;
-    let aov = |&kind: &AovKind| Aov { kind, width, height, values: kind.values(count) };
-    let done = Mutex::new((kinds.iter().map(aov).collect::<Vec<_>>(), 0u64));
-    (0..height).into_par_iter().try_for_each_init(
+    let count = u64::from(width) * u64::from(height);
+    film::room_for(bytes * count, || format!("{} pictures of data of {width} x {height}", kinds.len()))?;
+    let rows: Vec<[u32; 4]> = (0..height).map(|y| [0, y, width, y + 1]).collect();
+    let values = fill(&job, &rows, kinds, "rows", monitor)?;
+    Ok(kinds.iter().zip(values).map(|(&kind, values)| Aov { kind, width, height, values }).collect())
+}
+
+/// What [`aovs`] finds for the pixels of a share: tile after tile as in [`Tiling`], rows from the top.
+///
+/// Fails as that does, and for a share of a picture that has too few tiles.
+pub fn share_aovs(
+    world: &World,
+    settings: &Settings,
+    share: Share,
+    kinds: &[AovKind],
+    monitor: Monitor<'_>,
+) -> Result<Vec<(AovKind, Values)>> {
+    let job = Job::new(world, settings)?;
+    let tiling = Tiling::new([job.width, job.height], share)?;
+    let (count, bytes) = (tiling.pixels(), kinds.iter().map(|kind| kind.bytes()).sum::<u64>());
+    // Written, they take as much again, and about as much as a file.
+    film::room_for(3 * bytes * count as u64, || format!("pictures of data of a share of {count} pixels"))?;
+    let places: Vec<[u32; 4]> = tiling.places().collect();
+    let values = fill(&job, &places, kinds, "tiles", monitor)?;
+    Ok(kinds.iter().copied().zip(values).collect())
+}
+
+/// The values of each kind for the pixels of some places, `[x0, y0, x1, y1]`: place after place, rows from the top. Progress counts `unit`.
+fn fill(
+    job: &Job<'_>,
+    places: &[[u32; 4]],
+    kinds: &[AovKind],
+    unit: &'static str,
+    monitor: Monitor<'_>,
+) -> Result<Vec<Values>> {
+    monitor.phase("aov");
+    let mut count = 0;
+    let mut starts = Vec::with_capacity(places.len());
+    for [x0, y0, x1, y1] in places {
+        starts.push(count);
+        count += (x1 - x0) as usize * (y1 - y0) as usize;
+    }
+    let done = Mutex::new((kinds.iter().map(|kind| kind.nothing(count)).collect::<Vec<_>>(), 0u64));
+    places.par_iter().zip(starts).try_for_each_init(
         || Desk { wave: Wave::new(job.depth), looks: Vec::new(), work: Vec::new() },
-        |desk, y| {
-            if monitor.stopped() {
-                return Err(Error::Interrupted);
-            }
-            desk.row(&job, y, kinds)?;
-            world.fault()?;
-            let (aovs, rows) = &mut *done.lock().unwrap_or_else(|poison| poison.into_inner());
-            aovs.iter_mut().for_each(|aov| desk.put(aov, y as usize * width as usize));
-            *rows += 1;
-            monitor.progress(*rows, Some(height.into()), "rows");
+        |desk, (place, start)| {
+            desk.fill(job, *place, kinds, monitor)?;
+            job.world.fault()?;
+            let (values, places_done) = &mut *done.lock().unwrap_or_else(|poison| poison.into_inner());
+            kinds.iter().zip(values).for_each(|(kind, values)| desk.put(*kind, values, start));
+            *places_done += 1;
+            monitor.progress(*places_done, Some(places.len() as u64), unit);
             Ok(())
         },
     )?;
     Ok(done.into_inner().unwrap_or_else(|poison| poison.into_inner()).0)
 }
 
-/// What one thread works with: a row of pixels.
+/// What one thread works with: the pixels of a place.
 struct Desk {
     wave: Wave,
     looks: Vec<Option<Look>>,
@@ -156,22 +201,35 @@ struct Desk {
 }
 
 impl Desk {
-    /// Finds what a row of pixels shows.
-    fn row(&mut self, job: &Job<'_>, y: u32, kinds: &[AovKind]) -> Result<()> {
+    /// Finds what the pixels of a place show.
+    fn fill(
+        &mut self,
+        job: &Job<'_>,
+        [x0, y0, x1, y1]: [u32; 4],
+        kinds: &[AovKind],
+        monitor: Monitor<'_>,
+    ) -> Result<()> {
         let Desk { wave, looks, work } = self;
+        let pixels = || (y0..y1).flat_map(move |y| (x0..x1).map(move |x| [x, y]));
+        let stopped = || if monitor.stopped() { Err(Error::Interrupted) } else { Ok(()) };
+        looks.clear();
+        work.clear();
         if kinds.iter().any(|kind| kind.looks()) {
-            looks.clear();
-            for x in (0..job.width).step_by(job.wave) {
+            let mut rest = pixels().peekable();
+            while rest.peek().is_some() {
+                stopped()?;
                 wave.clear();
-                (x..job.width).take(job.wave).for_each(|x| wave.add(job.middle(x, y)));
+                rest.by_ref().take(job.wave).for_each(|[x, y]| wave.add(job.middle(x, y)));
                 job.world.look(wave, kinds.contains(&AovKind::Shadow), looks)?;
             }
         }
         if kinds.iter().all(|kind| kind.looks()) {
             return Ok(());
         }
-        work.clear();
-        for x in 0..job.width {
+        for [x, y] in pixels() {
+            if x == x0 {
+                stopped()?;
+            }
             let before = wave.work();
             for s in 0..job.k * job.k {
                 job.world.color(job.sample(x, y, s), wave)?;
@@ -184,11 +242,10 @@ impl Desk {
         Ok(())
     }
 
-    /// Writes it to a picture, from pixel `first` on.
-    fn put(&self, aov: &mut Aov, first: usize) {
+    /// Writes it to the values of a kind, from pixel `first` on.
+    fn put(&self, kind: AovKind, values: &mut Values, first: usize) {
         let looks = self.looks.iter().zip(first..).filter_map(|(look, i)| Some((i, look.as_ref()?)));
-        let kind = aov.kind;
-        match (&mut aov.values, kind) {
+        match (values, kind) {
             (Values::Scalar(to), AovKind::Cost) => {
                 to.iter_mut().skip(first).zip(&self.work).for_each(|(v, w)| *v = w[0])
             }

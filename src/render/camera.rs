@@ -46,8 +46,7 @@ impl Eye {
         let middle = ready.corner + (horiz + vert) * 0.5;
         let all = [eye, ready.corner, horiz, vert];
         if !all.iter().all(|v| v.is_finite()) || middle == DVec3::ZERO || horiz.cross(vert) == DVec3::ZERO {
-            let what =
-                "the camera sees nothing: its image rectangle has no area, or its directions are zero or parallel";
+            let what = "the camera sees nothing: its image rectangle has no area, or its directions are zero or parallel; give it others";
             return Err(Error::Option(what.into()));
         }
         Ok(ready)

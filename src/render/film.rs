@@ -40,6 +40,11 @@ impl Film {
         &self.pixels
     }
 
+    /// All pixels, to be written.
+    pub(super) fn pixels_mut(&mut self) -> &mut [[f32; 3]] {
+        &mut self.pixels
+    }
+
     /// The pixel in column `x` from the left and row `y` from the top, both within the picture.
     pub fn at(&self, x: u32, y: u32) -> [f32; 3] {
         self.pixels[y as usize * self.width as usize + x as usize]

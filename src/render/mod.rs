@@ -13,7 +13,7 @@ mod sampling;
 mod share;
 mod tiles;
 
-pub use aov::{Aov, AovKind, Values, aovs};
+pub use aov::{Aov, AovKind, Values, aovs, share_aovs};
 pub use camera::Eye;
 pub use film::Film;
 pub use plan::Plan;

@@ -8,6 +8,7 @@ use std::fmt;
 use std::sync::Mutex;
 use std::time::Instant;
 
+use super::aov::{Aov, AovKind, Values};
 use super::film::{self, Film};
 use super::hilbert;
 use super::tiles::{Job, Settings, Statistics, Tile, tiles};
@@ -79,7 +80,9 @@ impl Tiling {
         let side = SIDES.into_iter().find(|side| count(*side) >= TILES * u64::from(share.of)).unwrap_or(least);
         if count(side) < u64::from(share.of) {
             let (tiles, of) = (count(side), share.of);
-            let what = format!("a picture of {width} x {height} pixels has {tiles} tiles, too few for {of} shares");
+            let what = format!(
+                "a picture of {width} x {height} pixels has {tiles} tiles, too few for {of} shares; take at most {tiles}"
+            );
             return Err(Error::Option(what));
         }
         let order = hilbert::order(width.div_ceil(side), height.div_ceil(side));
@@ -99,6 +102,25 @@ impl Tiling {
     /// Pixels of all tiles.
     pub fn pixels(&self) -> usize {
         self.places().map(area).sum()
+    }
+
+    /// Writes what the pixels of the tiles have, tile after tile, to where they stand in the picture; false, and nothing written, if either
+    /// has another number of pixels.
+    fn put<T: Copy>(&self, from: &[T], to: &mut [T]) -> bool {
+        let width = self.size[0] as usize;
+        if from.len() != self.pixels() || to.len() != width * self.size[1] as usize {
+            return false;
+        }
+        let mut rest = from;
+        for [x0, y0, x1, y1] in self.places() {
+            for y in y0..y1 {
+                let (row, next) = rest.split_at((x1 - x0) as usize);
+                let first = y as usize * width + x0 as usize;
+                to[first..first + row.len()].copy_from_slice(row);
+                rest = next;
+            }
+        }
+        true
     }
 }
 
@@ -158,6 +180,8 @@ pub struct Portion {
     pub share: Share,
     /// Linear light: tile after tile as in [`Tiling`], rows from the top.
     pub pixels: Vec<[f32; 3]>,
+    /// Pictures of data, each kind once, in the order of [`AovKind::ALL`]; values in the order of `pixels`.
+    pub data: Vec<(AovKind, Values)>,
 }
 
 impl Portion {
@@ -165,21 +189,36 @@ impl Portion {
     ///
     /// Fails if there are not as many pixels as its tiles have.
     pub fn put(&self, film: &mut Film) -> Result<()> {
-        let tiling = Tiling::new(self.identity.size(), self.share)?;
-        if [film.width(), film.height()] != self.identity.size() || self.pixels.len() != tiling.pixels() {
-            return Err(Error::Option(format!("share {} does not fit the picture", self.share)));
-        }
-        let mut rest = self.pixels.as_slice();
-        for place in tiling.places() {
-            let (tile, next) = rest.split_at(area(place));
-            film.put_tile(place, tile);
-            rest = next;
-        }
-        Ok(())
+        let fits = [film.width(), film.height()] == self.identity.size();
+        self.whole(fits && self.tiling()?.put(&self.pixels, film.pixels_mut()))
+    }
+
+    /// Writes its tiles to a picture of data of that size, which is of a kind that it has.
+    ///
+    /// Fails if it has no such data, or not for as many pixels as its tiles have.
+    pub fn put_aov(&self, aov: &mut Aov) -> Result<()> {
+        let (tiling, own) = (self.tiling()?, self.data.iter().find(|data| data.0 == aov.kind));
+        let fits = [aov.width, aov.height] == self.identity.size();
+        let done = match (&mut aov.values, own) {
+            (Values::Scalar(to), Some((_, Values::Scalar(from)))) => tiling.put(from, to),
+            (Values::Vector(to), Some((_, Values::Vector(from)))) => tiling.put(from, to),
+            (Values::Id(to), Some((_, Values::Id(from)))) => tiling.put(from, to),
+            _ => false,
+        };
+        self.whole(fits && done)
+    }
+
+    fn tiling(&self) -> Result<Tiling> {
+        Tiling::new(self.identity.size(), self.share)
+    }
+
+    fn whole(&self, fits: bool) -> Result<()> {
+        if fits { Ok(()) } else { Err(Error::Option(format!("share {} does not fit the picture", self.share))) }
     }
 }
 
-/// A share of the picture of a world, on the threads of the current rayon pool; `watcher` sees each tile as it is done.
+/// A share of the picture of a world, on the threads of the current rayon pool; `watcher` sees each tile as it is done. Pictures of data are
+/// made by [`share_aovs`](super::share_aovs()).
 ///
 /// Tiles are as the share says, whatever the settings do. Fails as [`render`](super::render()) does, and with [`Error::Interrupted`].
 pub fn render_share(
@@ -218,7 +257,7 @@ pub fn render_share(
     }
     statistics.seconds = begin.elapsed().as_secs_f64();
     let pixels = pixels.into_inner().unwrap_or_else(|poison| poison.into_inner());
-    Ok((Portion { identity: Identity::of(world, settings), share, pixels }, statistics))
+    Ok((Portion { identity: Identity::of(world, settings), share, pixels, data: Vec::new() }, statistics))
 }
 
 #[cfg(test)]

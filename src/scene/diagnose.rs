@@ -155,7 +155,7 @@ impl<'a> Log<'a> {
             Severity::Warning => self.monitor.send(Event::Diagnostic(diagnostic)),
             Severity::Error if self.errors.len() == MOST_ERRORS => {
                 diagnostic.message = format!("more than {MOST_ERRORS} errors; nothing after this line has been read");
-                diagnostic.help = None;
+                diagnostic.help = Some("mend these first".to_owned());
                 return Err(self.fatal(diagnostic));
             }
             Severity::Error => self.errors.push(diagnostic),

@@ -35,7 +35,7 @@ impl Scene {
         let input = |what: String| Error::Input { file: path.to_owned(), what };
         let file = File::open(path).map_err(Error::io(path, "open"))?;
         if file.metadata().map_err(Error::io(path, "open"))?.is_dir() {
-            return Err(input("this is a folder, not a scene file".into()));
+            return Err(input("this is a folder; name the scene file in it".into()));
         }
         let bytes = take_limited(file, MAX_BYTES).map_err(input)?;
         let folder = path.parent().unwrap_or(Path::new(""));

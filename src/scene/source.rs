@@ -41,7 +41,7 @@ pub(super) fn take_limited(reader: impl Read, most: u64) -> Result<Vec<u8>, Stri
     let mut bytes = Vec::new();
     reader.take(most.saturating_add(1)).read_to_end(&mut bytes).map_err(|error| error.to_string())?;
     match bytes.len() as u64 > most {
-        true => Err(format!("a scene with all that it includes has at most {MAX_BYTES} bytes")),
+        true => Err(format!("a scene with all that it includes has at most {MAX_BYTES} bytes; keep shapes in a mesh")),
         false => Ok(bytes),
     }
 }

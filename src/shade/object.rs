@@ -4,9 +4,9 @@ use std::cmp::Ordering;
 
 use glam::{DAffine3, DMat3, DVec3, Vec3};
 
+use super::mesh::Mesh;
 use super::quadric::{Ball, Flat};
 use super::ray::{Omit, WorldRay};
-use super::world::Mesh;
 use crate::error::Result;
 use crate::exact::{self, Crossing, Line};
 use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip, Triangle};

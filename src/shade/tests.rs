@@ -6,11 +6,12 @@ use glam::{DAffine3, DQuat, DVec3, Quat, Vec3};
 use proptest::prelude::*;
 
 use super::double::{Brute, cube};
+use super::mesh::Mesh;
 use super::object::strictly_on;
 use super::origin::{normal_of, point_of, step_off, triangle_bound};
 use super::ray::{Omit, WorldRay};
 use super::wave::Wave;
-use super::world::{Mesh, World};
+use super::world::World;
 use crate::geometry::Triangle;
 use crate::scene::{Color, Geometry, Instance, Light, Material, MeshFile, Scene, Shape};
 

@@ -7,10 +7,11 @@ use glam::{DAffine3, DQuat, DVec3, Vec3};
 use super::batch::{Batch, Questions};
 use super::double::{Brute, cube};
 use super::leave::Departure;
+use super::mesh::Mesh;
 use super::ray::{Omit, Origin, WorldRay};
 use super::wave::Wave;
 use super::whitted::{AT_LIGHT, Ahead, LEAST_WEIGHT, Meeting, RayCounts, mirror, refract};
-use super::world::{Mesh, World};
+use super::world::World;
 use crate::geometry::FaceId;
 use crate::scene::{Color, Geometry, Instance, Light, Material, MeshFile, Scene, Shape};
 

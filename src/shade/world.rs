@@ -1,33 +1,26 @@
 //! The scene made ready to be traced and shaded.
 
-use std::collections::HashMap;
-use std::path::Path;
 use std::sync::Arc;
 
 use glam::DVec3;
 
-use super::material::{Mixed, Surface};
+use super::material::Surface;
+use super::mesh::{Mesh, TEXTURE_BYTES};
 use super::object::{Contact, Kind, Object, Part, above};
 use super::quadric::Flat;
 use super::ray::{Omit, WorldRay};
-use super::texture::Texture;
 use super::tree::{Item, Tree};
 use crate::error::{Error, Result};
-use crate::event::{Event, Monitor};
-use crate::format::{Flags, MaterialRecord};
-use crate::geometry::{Aabb, Ray, Skip};
+use crate::event::Monitor;
 use crate::map::Octree;
-use crate::scene::{Scene, ToneMap};
-use crate::trace::{Counters, Footprint, Found, LinearTracer, Met, OctreeTracer, Tracer};
+use crate::scene::Scene;
+use crate::trace::Counters;
 
 /// More objects than this get a tree over them.
 const TREE_FROM: usize = 16;
 /// How far below everything the automatic floor lies, in parts of the greatest extent (2^-16): near enough to look like
 /// contact, too far to share a coordinate.
 const FLOOR_GAP: f64 = 1.0 / 65_536.0;
-
-/// Most bytes of all textures of a scene.
-const TEXTURE_BYTES: u64 = 4 << 30;
 
 /// A scene, ready for rays. Shared by all threads.
 #[derive(Debug)]
@@ -46,18 +39,6 @@ pub struct World {
     bounds: Option<[DVec3; 2]>,
 }
 
-/// A mesh as the shader needs it: something that answers rays, and where attributes come from.
-pub struct Mesh {
-    pub(super) tracer: Box<dyn Tracer>,
-    octree: Option<Arc<Octree>>,
-    /// Most error of surrogates, in pixels; `None`: exact.
-    pub(super) pixels: Option<f64>,
-    /// What its surrogates look like, if it has materials of its own; only with level of detail.
-    pub(super) mixed: Option<Mixed>,
-    /// Textures by material record.
-    textures: Vec<Option<Arc<Texture>>>,
-}
-
 impl World {
     /// Makes a scene ready; `meshes[i]` is the opened file of `scene.meshes[i]`.
     ///
@@ -65,19 +46,7 @@ impl World {
     /// left out. Fails if the linear tracer (`oct off`) meets a damaged page, or if numbers of meshes do not agree.
     pub fn new(scene: Scene, meshes: Vec<Arc<Octree>>, monitor: Monitor<'_>) -> Result<World> {
         let mut room = TEXTURE_BYTES;
-        let with_textures = |i: usize| scene.instances.iter().any(|x| x.mesh == i && x.mtl);
-        let mesh = |(i, octree): (usize, Arc<Octree>)| -> Result<Mesh> {
-            let tracer: Box<dyn Tracer> = if scene.octree {
-                Box::new(OctreeTracer::new(octree.clone()))
-            } else {
-                Box::new(LinearTracer::new(&octree)?)
-            };
-            let textures = match with_textures(i) {
-                true => textures(&octree, scene.tonemap, &mut room, monitor),
-                false => Vec::new(),
-            };
-            Ok(Mesh { tracer, octree: Some(octree), pixels: None, mixed: None, textures })
-        };
+        let mesh = |(i, octree)| Mesh::of(&scene, i, octree, &mut room, monitor);
         let meshes = meshes.into_iter().enumerate().map(mesh).collect::<Result<Vec<_>>>()?;
         World::with_meshes(scene, meshes)
     }
@@ -113,20 +82,11 @@ impl World {
         }
         if pixels > 0.0 && !self.scene.octree {
             return Err(Error::Option(
-                "level of detail needs the octree, which the scene turns off (`oct off`)".into(),
+                "level of detail needs the octree, which the scene turns off: leave out --lod, or `oct off` in the scene"
+                    .into(),
             ));
         }
-        for mesh in &mut self.meshes {
-            let octree = mesh.octree.as_ref().filter(|_| pixels > 0.0);
-            if let Some(octree) = octree
-                && octree.detail()?.is_none()
-            {
-                let what = "has no level of detail; build it again with this octbuild, without --no-lod".into();
-                return Err(Error::Input { file: octree.path().to_owned(), what });
-            }
-            mesh.mixed = octree.and_then(|octree| Mixed::of(octree.materials(), &mesh.textures));
-            mesh.pixels = octree.map(|_| pixels);
-        }
+        self.meshes.iter_mut().try_for_each(|mesh| mesh.allow(pixels))?;
         Ok(self)
     }
 
@@ -150,7 +110,7 @@ impl World {
 
     /// An error if a mesh's file was cut short while in use: no colour found since then holds.
     pub fn fault(&self) -> Result<()> {
-        self.meshes.iter().filter_map(|m| m.octree.as_ref()).try_for_each(|octree| octree.fault())
+        self.meshes.iter().filter_map(Mesh::octree).try_for_each(|octree| octree.fault())
     }
 
     /// Puts the floor that the scene wishes just under everything.
@@ -285,143 +245,4 @@ impl World {
     pub(super) fn has_tree(&self) -> bool {
         self.tree.is_some()
     }
-}
-
-impl Mesh {
-    /// A mesh without attributes.
-    pub fn bare(tracer: Box<dyn Tracer>) -> Mesh {
-        Mesh { tracer, octree: None, pixels: None, mixed: None, textures: Vec::new() }
-    }
-
-    /// Its file, if it is of one.
-    pub(super) fn octree(&self) -> Option<&Octree> {
-        self.octree.as_deref()
-    }
-
-    /// Its textures by material record.
-    pub(super) fn textures(&self) -> &[Option<Arc<Texture>>] {
-        &self.textures
-    }
-
-    /// What a ray meets first; with level of detail, if it has a width.
-    pub(super) fn meet(
-        &self,
-        ray: &Ray,
-        skip: Skip,
-        footprint: impl FnOnce() -> Footprint,
-        counters: &mut Counters,
-    ) -> Result<Met> {
-        let footprint = if self.pixels.is_some() { footprint() } else { Footprint::NONE };
-        let mut met = [Met::Nothing];
-        match self.pixels {
-            Some(pixels) if footprint != Footprint::NONE => {
-                let rays = std::slice::from_ref(ray);
-                self.tracer.closest_coarse(rays, &[footprint], pixels, &mut met, counters)?;
-            }
-            _ => met = [self.tracer.closest_counted(ray, skip, counters)?.map_or(Met::Nothing, Met::Triangle)],
-        }
-        Ok(met[0])
-    }
-
-    /// Whether a ray meets anything; with level of detail, if it has a width.
-    pub(super) fn any(
-        &self,
-        ray: &Ray,
-        skip: Skip,
-        footprint: impl FnOnce() -> Footprint,
-        counters: &mut Counters,
-    ) -> Result<bool> {
-        let footprint = if self.pixels.is_some() { footprint() } else { Footprint::NONE };
-        let mut blocked = [false];
-        match self.pixels {
-            Some(pixels) if footprint != Footprint::NONE => {
-                let rays = std::slice::from_ref(ray);
-                self.tracer.any_coarse(rays, &[skip], &[footprint], pixels, &mut blocked, counters)?;
-            }
-            _ => blocked = [self.tracer.any_counted(ray, skip, counters)?],
-        }
-        Ok(blocked[0])
-    }
-
-    /// The box around its triangles.
-    pub(super) fn bounds(&self) -> Aabb {
-        self.tracer.bounds()
-    }
-
-    /// The vertex normals of a hit triangle.
-    pub(super) fn normals(&self, found: &Found) -> Result<Option<[[f32; 3]; 3]>> {
-        match &self.octree {
-            Some(octree) if octree.flags().has(Flags::NORMALS) => {
-                octree.with_page(found.page, |page| page.normals(found.reference))
-            }
-            _ => Ok(None),
-        }
-    }
-
-    /// The texture coordinates of a hit triangle.
-    pub(super) fn texcoords(&self, found: &Found) -> Result<Option<[[f32; 2]; 3]>> {
-        match &self.octree {
-            Some(octree) if octree.flags().has(Flags::TEXCOORDS) => {
-                octree.with_page(found.page, |page| page.texcoords(found.reference))
-            }
-            _ => Ok(None),
-        }
-    }
-
-    /// How many materials the mesh's file has.
-    pub(super) fn materials(&self) -> usize {
-        self.octree.as_ref().map_or(0, |octree| octree.materials().len())
-    }
-
-    /// The number of a hit triangle's own material in the mesh's file, if it has one.
-    pub(super) fn material_number(&self, found: &Found) -> Result<Option<u32>> {
-        match &self.octree {
-            Some(octree) if octree.flags().has(Flags::MATERIALS) => {
-                octree.with_page(found.page, |page| page.material(found.reference).checked_sub(1))
-            }
-            _ => Ok(None),
-        }
-    }
-
-    /// The mesh's own material of a hit triangle, if it has one, and its texture.
-    pub(super) fn material(&self, found: &Found) -> Result<Option<(&MaterialRecord, Option<&Texture>)>> {
-        let (Some(octree), Some(number)) = (&self.octree, self.material_number(found)?) else { return Ok(None) };
-        let record = octree.materials().get(number as usize);
-        Ok(record.map(|r| (r, self.textures.get(number as usize).and_then(Option::as_deref))))
-    }
-}
-
-impl std::fmt::Debug for Mesh {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        write!(f, "Mesh({:?}, {:?})", self.bounds(), self.textures)
-    }
-}
-
-/// The textures of a mesh's materials, as far as they can be read and there is `room` for them, in bytes; the rest is warned of, once a
-/// file.
-fn textures(octree: &Octree, tonemap: ToneMap, room: &mut u64, monitor: Monitor<'_>) -> Vec<Option<Arc<Texture>>> {
-    if !octree.flags().has(Flags::TEXCOORDS) {
-        return Vec::new();
-    }
-    let folder = octree.path().parent().unwrap_or(Path::new(""));
-    let mut known: HashMap<&str, Option<Arc<Texture>>> = HashMap::new();
-    let mut read = |name: &str| {
-        let path = folder.join(name);
-        monitor.send(Event::File(path.clone()));
-        let texture = Texture::open(&path, tonemap).and_then(|texture| {
-            *room = room.checked_sub(texture.bytes()).ok_or_else(|| {
-                let most = TEXTURE_BYTES >> 20;
-                let what =
-                    format!("with it the textures of the scene would take more than {most} MiB; make them smaller");
-                Error::Input { file: path, what }
-            })?;
-            Ok(Arc::new(texture))
-        });
-        texture.map_err(|e| monitor.warn(format!("{e}; going on without this texture"))).ok()
-    };
-    let mut open = |record: &MaterialRecord| {
-        let name = octree.string(record.map_kd);
-        if name.is_empty() { None } else { known.entry(name).or_insert_with(|| read(name)).clone() }
-    };
-    octree.materials().iter().map(&mut open).collect()
 }

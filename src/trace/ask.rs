@@ -2,7 +2,8 @@
 
 use super::arch::Kernel;
 use super::collect::{Any, Closest, Collector, Next, Rest, Rounding, Stored};
-use super::walk::{self, Sight};
+use super::settle;
+use super::walk::Sight;
 use super::{Counters, Found};
 use crate::exact::{Depths, Line, Shear};
 use crate::geometry::{Aabb, Hit, Ray, Skip};
@@ -11,19 +12,18 @@ use crate::geometry::{Aabb, Hit, Ray, Skip};
 pub(super) trait Ask {
     /// What gathers the hits.
     type Collector<'a>: Leaves<'a>;
-    type Answer;
-    /// The answer where nothing is hit.
-    const NOTHING: Self::Answer;
+    type Answer: Answer;
     /// Makes a collector ready for ray `i` of those that are asked about.
     fn begin(&self, i: usize, ray: &Ray, collector: &mut Self::Collector<'_>);
     /// Whether packets answer exactly; if not, as f32 alone has it, to measure what that costs.
     const EXACT: bool = true;
     /// Whether any hit will do.
-    const FIRST: bool;
+    const FIRST: bool = false;
     /// What ray `i` leaves out.
-    fn skip(&self, i: usize) -> Skip;
-    /// The answer where a packet made a hit; with [`Ask::FIRST`] it is enough that there is one.
-    fn answer(found: Found) -> Self::Answer;
+    #[inline(always)]
+    fn skip(&self, _i: usize) -> Skip {
+        Skip::NONE
+    }
     /// Gives the answers to up to 16 rays whose walks are over, each with its number among `rays` and `collectors`.
     fn end<K: Kernel>(
         kernel: K,
@@ -35,8 +35,43 @@ pub(super) trait Ask {
     fn idle<'a>() -> Self::Collector<'a>;
 }
 
+/// What a question is answered with.
+pub(super) trait Answer {
+    /// Where nothing is hit.
+    const NOTHING: Self;
+    /// Where a packet made a hit; with [`Ask::FIRST`] it is enough that there is one.
+    fn of(found: Found) -> Self;
+}
+
+impl Answer for Option<Found> {
+    const NOTHING: Option<Found> = None;
+
+    #[inline(always)]
+    fn of(found: Found) -> Option<Found> {
+        Some(found)
+    }
+}
+
+impl Answer for Hit {
+    const NOTHING: Hit = Hit::MISS;
+
+    #[inline(always)]
+    fn of(found: Found) -> Hit {
+        found.hit
+    }
+}
+
+impl Answer for bool {
+    const NOTHING: bool = false;
+
+    #[inline(always)]
+    fn of(_: Found) -> bool {
+        true
+    }
+}
+
 /// A question whose walk can be put aside, and gone on with when pages have come and gone.
-pub(super) trait Pause: Ask {
+pub(super) trait Pause: for<'c> Ask<Collector<'c>: Collector<'c>> {
     /// What a walk has found so far, without anything of pages.
     type Rest: Default;
     /// Takes it from a collector.
@@ -81,7 +116,7 @@ impl<'a, C: Collector<'a>> Leaves<'a> for C {
         far: &mut f32,
         counters: &mut Counters,
     ) -> Next {
-        walk::leaf(kernel, stored, ray, sight, depths, far, self, counters)
+        settle::leaf(kernel, stored, ray, sight, depths, far, self, counters)
     }
 }
 
@@ -94,8 +129,6 @@ pub(super) struct Least<'s> {
 impl Ask for Least<'_> {
     type Collector<'a> = Closest<'a>;
     type Answer = Option<Found>;
-    const NOTHING: Option<Found> = None;
-    const FIRST: bool = false;
 
     #[inline(always)]
     fn begin(&self, i: usize, ray: &Ray, closest: &mut Closest<'_>) {
@@ -116,11 +149,6 @@ impl Ask for Least<'_> {
     }
 
     #[inline(always)]
-    fn answer(found: Found) -> Option<Found> {
-        Some(found)
-    }
-
-    #[inline(always)]
     fn end<K: Kernel>(kernel: K, rays: &[Ray], collectors: &[Closest<'_>], mut give: impl FnMut(usize, Option<Found>)) {
         let rounding = Rounding::of(kernel, rays, collectors);
         for (i, (ray, collector)) in rays.iter().zip(collectors).enumerate() {
@@ -135,7 +163,6 @@ pub(super) struct LeastHit;
 impl Ask for LeastHit {
     type Collector<'a> = Closest<'a>;
     type Answer = Hit;
-    const NOTHING: Hit = Hit::MISS;
 
     #[inline(always)]
     fn begin(&self, _: usize, _: &Ray, closest: &mut Closest<'_>) {
@@ -143,20 +170,8 @@ impl Ask for LeastHit {
     }
 
     #[inline(always)]
-    fn answer(found: Found) -> Hit {
-        found.hit
-    }
-
-    #[inline(always)]
     fn idle<'a>() -> Closest<'a> {
         Closest::new(Skip::NONE)
-    }
-
-    const FIRST: bool = false;
-
-    #[inline(always)]
-    fn skip(&self, _: usize) -> Skip {
-        Skip::NONE
     }
 
     #[inline(always)]
@@ -174,7 +189,6 @@ pub(super) struct Whether<'s>(pub &'s [Skip]);
 impl Ask for Whether<'_> {
     type Collector<'a> = Any<'a>;
     type Answer = bool;
-    const NOTHING: bool = false;
     const FIRST: bool = true;
 
     #[inline(always)]
@@ -190,11 +204,6 @@ impl Ask for Whether<'_> {
     #[inline(always)]
     fn skip(&self, i: usize) -> Skip {
         self.0.get(i).copied().unwrap_or(Skip::NONE)
-    }
-
-    #[inline(always)]
-    fn answer(_: Found) -> bool {
-        true
     }
 
     #[inline(always)]

@@ -6,7 +6,6 @@ use bytemuck::Zeroable;
 
 use super::arch::{Job, Kernel};
 use super::ask::{Ask, Leaves};
-use super::setup::Setup;
 use super::trip::Straight;
 use super::walk::{File, LEVELS, Level, Sight};
 use super::{Counters, packet};
@@ -70,12 +69,7 @@ impl<A: Ask, const N: usize> Job for Batch<'_, '_, A, N> {
                     places[count] = i;
                     those[count] = rays[i];
                     if sight.setup.aim(kernel, &those[count], file.scene) {
-                        let Setup { way, aim, far, .. } = &sight.setup;
-                        let frame = kernel.frame(&start.cell, aim, way);
-                        let (left, near) = kernel.touch(start.view.node(0), frame, way, kernel.ends(way.near, *far));
-                        kernel.save(&mut sight.saved, frame, near);
-                        sight.left = left;
-                        live |= u32::from(left != 0) << count;
+                        live |= u32::from(sight.enter(kernel, &start)) << count;
                         counters.nodes += 1;
                     }
                     ask.begin(first + i, &those[count], &mut collectors[count]);

@@ -134,10 +134,7 @@ struct Level<'a> {
     left: u32,
 }
 
-impl<A: Pause, G: FnMut(usize, A::Answer, Option<Approximate>)> Job for Coarse<'_, '_, A, G, A::Rest>
-where
-    for<'c> A::Collector<'c>: Collector<'c>,
-{
+impl<A: Pause, G: FnMut(usize, A::Answer, Option<Approximate>)> Job for Coarse<'_, '_, A, G, A::Rest> {
     type Output = Result<(), Halt>;
 
     #[inline(always)]

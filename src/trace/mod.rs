@@ -1,8 +1,9 @@
 //! Rays against an octree file: closest hit, any hit, all hits in order, and the triangles that touch a box.
 //!
 //! [`OctreeTracer`] walks the file's own bytes: the parametric octree traversal of Revelles, Ureña and Lastra (2000) in a form that
-//! never loses a cell, over nodes and leaves as FORMAT.md has them. `setup.rs` has the argument, `walk.rs` the walk of one ray, `flight/` that
-//! of several under way at once, `packet/` that of rays side by side, `near.rs` that of short rays;
+//! never loses a cell, over nodes and leaves as FORMAT.md has them. `setup.rs` has the argument, `walk.rs` the walk of one ray, `settle.rs`
+//! what becomes of a leaf on it, `flight/` the walk of several under way at once, `packet/` that of rays side by side, `near.rs` that of short rays;
+//! `walker.rs` says which of them answers what;
 //! `patient.rs` lets rays wait where pages are read within a budget, and `trip.rs` is how a walk is put aside there;
 //! `rough.rs` measures what exactness costs. A triangle is tested by the f32 filter of [`crate::exact`] first and exactly where that is in doubt. [`LinearTracer`] tests every triangle
 //! exactly and is the reference. `arch/` holds the inner loops.
@@ -24,9 +25,11 @@ mod octree;
 mod packet;
 mod patient;
 mod rough;
+mod settle;
 mod setup;
 mod trip;
 mod walk;
+mod walker;
 
 use rayon::prelude::*;
 
@@ -139,8 +142,7 @@ pub trait Tracer: Send + Sync {
         met: &mut [Met],
         counters: &mut Counters,
     ) -> Result<()> {
-        a_ray_each(rays, footprints, met);
-        a_width_each(rays, footprints, pixels);
+        a_width_each(rays, footprints, pixels, met);
         for (ray, met) in rays.iter().zip(met) {
             *met = self.closest_counted(ray, Skip::NONE, counters)?.map_or(Met::Nothing, Met::Triangle);
         }
@@ -160,7 +162,7 @@ pub trait Tracer: Send + Sync {
         blocked: &mut [bool],
         counters: &mut Counters,
     ) -> Result<()> {
-        a_width_each(rays, footprints, pixels);
+        a_width_each(rays, footprints, pixels, blocked);
         self.any_each(rays, skips, blocked, counters)
     }
 
@@ -197,9 +199,9 @@ fn a_ray_each<G, A>(rays: &[Ray], given: &[G], answers: &[A]) {
     assert_eq!(rays.len(), answers.len(), "one answer a ray");
 }
 
-/// Panics if there is not a width a ray, or nothing that a width may be measured against.
-fn a_width_each(rays: &[Ray], footprints: &[Footprint], pixels: f64) {
-    assert_eq!(rays.len(), footprints.len(), "one width a ray");
+/// Panics if there is not a width and a place for an answer a ray, or nothing that a width may be measured against.
+fn a_width_each<A>(rays: &[Ray], footprints: &[Footprint], pixels: f64, answers: &[A]) {
+    a_ray_each(rays, footprints, answers);
     assert!(pixels > 0.0, "an error of {pixels} pixels is asked for");
 }
 

@@ -14,13 +14,13 @@ use std::ops::Range;
 use glam::Vec3;
 
 use super::arch::{Isa, Job, Kernel};
-use super::ask::Pause;
+use super::ask::{Answer, Pause};
 use super::batch::{SPACE, Space};
 use super::collect::Collector;
 use super::flight::{Flight, STACKS};
 use super::near::Near;
 use super::packet::{self, PACKET};
-use super::setup::{Scene, Setup};
+use super::setup::Scene;
 use super::trip::{Halting, Trail};
 use super::walk::{File, Start};
 use super::{Counters, Found};
@@ -75,10 +75,7 @@ pub(super) struct Patient<'o, 'w, A: Pause> {
     pub fast: Fast<'w>,
 }
 
-impl<A: Pause> Patient<'_, '_, A>
-where
-    for<'c> A::Collector<'c>: Collector<'c>,
-{
+impl<A: Pause> Patient<'_, '_, A> {
     /// Answers all rays, on this thread.
     pub fn answer(&self, answers: &mut [A::Answer], counters: &mut Counters) -> Result<()> {
         let mut queues: HashMap<u32, Queue<'_, A::Rest>> = HashMap::new();
@@ -207,7 +204,7 @@ where
             match self.isa.run(Near { visit, rays, skips, blocked, counters }) {
                 Ok(()) => {
                     for (answer, &blocked) in answers[those].iter_mut().zip(&*blocked) {
-                        *answer = if blocked { A::answer(SOMETHING) } else { A::NOTHING };
+                        *answer = if blocked { A::Answer::of(SOMETHING) } else { A::Answer::NOTHING };
                     }
                 }
                 Err(Halt::Absent(_)) => taken.extend(those.map(Waiting::fresh)),
@@ -239,10 +236,7 @@ struct Stretch<'a, 'w, A: Pause> {
     halted: &'w mut Vec<(u32, Waiting<A::Rest>)>,
 }
 
-impl<A: Pause> Job for Stretch<'_, '_, A>
-where
-    for<'c> A::Collector<'c>: Collector<'c>,
-{
+impl<A: Pause> Job for Stretch<'_, '_, A> {
     type Output = Result<()>;
 
     #[inline(always)]
@@ -281,10 +275,7 @@ where
     }
 }
 
-impl<'a, A: Pause> Stretch<'a, '_, A>
-where
-    for<'c> A::Collector<'c>: Collector<'c>,
-{
+impl<'a, A: Pause> Stretch<'a, '_, A> {
     /// Walks the next sixteen rays one after the other, as [`super::batch::Batch`] does; false if there are none.
     #[inline(always)]
     fn sixteen<K: Kernel>(
@@ -307,12 +298,7 @@ where
             A::resume(waiting.rest, &mut collectors[count]);
             if sight.setup.aim(kernel, ray, file.scene) {
                 sight.setup.far = sight.setup.far.min(sight.setup.reach(collectors[count].reach()));
-                let Setup { way, aim, far, .. } = &sight.setup;
-                let frame = kernel.frame(&start.cell, aim, way);
-                let (left, near) = kernel.touch(start.view.node(0), frame, way, kernel.ends(way.near, *far));
-                kernel.save(&mut sight.saved, frame, near);
-                sight.left = left;
-                live |= u32::from(left != 0) << count;
+                live |= u32::from(sight.enter(kernel, start)) << count;
                 counters.nodes += u64::from(waiting.trail.is_empty());
             }
             count += 1;

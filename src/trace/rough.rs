@@ -11,13 +11,13 @@ use std::marker::PhantomData;
 use super::arch::{Kernel, Rough};
 use super::ask::{Ask, Leaves};
 use super::collect::{Next, Stored};
-use super::octree::Walker;
 use super::packet::PACKET;
 use super::walk::Sight;
-use super::{BATCH, Counters, Found, OctreeTracer, batch};
+use super::walker::Walker;
+use super::{BATCH, Counters, OctreeTracer, batch};
 use crate::error::{Error, Result};
 use crate::exact::{Depths, Shear};
-use crate::geometry::{Aabb, FaceId, Hit, Ray, Skip};
+use crate::geometry::{Aabb, FaceId, Hit, Ray};
 use crate::map::Octree;
 
 impl<O: Borrow<Octree> + Send + Sync> OctreeTracer<O> {
@@ -51,10 +51,11 @@ impl Walker<'_> {
 
     /// Refuses files whose pages come and go.
     fn mapped_only(&self) -> Result<()> {
-        match self.octree().is_budgeted() {
-            true => {
-                Err(Error::Option("rays can be traced in f32 alone only in a mapped file, not a packed one".into()))
-            }
+        match self.octree.is_budgeted() {
+            true => Err(Error::Option(
+                "rays can be traced in f32 alone only in a mapped file, not a packed one: build it without --compress"
+                    .into(),
+            )),
             false => Ok(()),
         }
     }
@@ -69,7 +70,7 @@ struct Nearest<'a>(Option<(Stored<'a>, Rough)>);
 impl Ask for RoughLeast {
     type Collector<'a> = Nearest<'a>;
     type Answer = Hit;
-    const NOTHING: Hit = Hit::MISS;
+    const EXACT: bool = false;
 
     #[inline(always)]
     fn begin(&self, _: usize, _: &Ray, nearest: &mut Nearest<'_>) {
@@ -91,17 +92,6 @@ impl Ask for RoughLeast {
     #[inline(always)]
     fn idle<'a>() -> Nearest<'a> {
         Nearest(None)
-    }
-
-    const EXACT: bool = false;
-    const FIRST: bool = false;
-
-    fn skip(&self, _: usize) -> Skip {
-        Skip::NONE
-    }
-
-    fn answer(found: Found) -> Hit {
-        found.hit
     }
 }
 
@@ -142,7 +132,8 @@ struct First<'a> {
 impl Ask for RoughWhether {
     type Collector<'a> = First<'a>;
     type Answer = bool;
-    const NOTHING: bool = false;
+    const EXACT: bool = false;
+    const FIRST: bool = true;
 
     #[inline(always)]
     fn begin(&self, _: usize, _: &Ray, first: &mut First<'_>) {
@@ -159,17 +150,6 @@ impl Ask for RoughWhether {
     #[inline(always)]
     fn idle<'a>() -> First<'a> {
         First { found: false, file: PhantomData }
-    }
-
-    const EXACT: bool = false;
-    const FIRST: bool = true;
-
-    fn skip(&self, _: usize) -> Skip {
-        Skip::NONE
-    }
-
-    fn answer(_: Found) -> bool {
-        true
     }
 }
 

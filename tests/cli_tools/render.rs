@@ -66,6 +66,40 @@ fn threads_and_crops_do_not_change_a_pixel() {
     assert_eq!(image(&lab, "part.png"), part);
 }
 
+#[cfg(unix)]
+#[test]
+fn a_picture_beyond_the_limit_on_file_sizes_is_an_error() {
+    let lab = Lab::with_ball();
+    let line = "ulimit -f 1; exec \"$0\" ball.oct -q --size 200x200 -o a.tif";
+    let mut command = std::process::Command::new("sh");
+    command.args(["-c", line]).arg(tool_path("octrender")).current_dir(lab.path(""));
+    let output = command.output().unwrap();
+    assert_eq!(output.status.code(), Some(4), "{output:?}");
+    assert!(told(&output).contains("a.tif: cannot write: File too large"), "{}", told(&output));
+    assert_eq!(lab.files(), ["ball.obj", "ball.oct"]);
+}
+
+#[test]
+fn a_packed_file_that_is_to_be_mapped_is_named() {
+    let lab = Lab::with_ball();
+    lab.done("octbuild", &["ball.obj", "-o", "packed.oct", "--compress", "zstd", "-q"]);
+    let error = lab.fails(2, "octrender", &["packed.oct", "--read", "mapped"]);
+    assert!(error.contains("packed.oct: its pages are packed") && error.contains("leave out --read mapped"), "{error}");
+}
+
+#[test]
+fn meshes_of_all_formats_are_drawn() {
+    let lab = Lab::new();
+    let stl = "solid\nfacet normal 0 0 1\nouter loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n";
+    lab.write("corner.stl", stl);
+    lab.write("corner.obj", "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n");
+    for name in ["corner.stl", "corner.obj"] {
+        lab.done("octrender", &[name, "-q", "--size", "16x16"]);
+        std::fs::rename(lab.path("corner.png"), lab.path(&format!("{name}.png"))).unwrap();
+    }
+    assert!(lab.read("corner.stl.png") == lab.read("corner.obj.png"));
+}
+
 #[test]
 fn draws_a_mesh_by_itself() {
     let lab = Lab::with_ball();

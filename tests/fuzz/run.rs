@@ -29,7 +29,7 @@ struct Args {
     /// Inputs in all, shared out among the targets: half of them octree files
     #[arg(long, default_value_t = 100_000)]
     inputs: u64,
-    /// Only this target: obj, mtl, ply, stl, archive, texture, scene, oct or rays
+    /// Only this target: obj, mtl, ply, stl, archive, texture, scene, oct, rays or resume
     #[arg(long)]
     target: Option<String>,
     /// Number of the first input
@@ -99,8 +99,8 @@ fn write_seeds(args: &Args, folder: &Path) {
 fn share(name: &str) -> u64 {
     match name {
         "oct" => 50,
-        "obj" => 15,
-        "scene" => 11,
+        "obj" => 13,
+        "scene" => 9,
         _ => 4,
     }
 }
@@ -112,9 +112,11 @@ fn parent(args: &Args) -> ExitCode {
     let mut jobs = Vec::new();
     for target in TARGETS.iter().filter(|t| args.target.as_deref().is_none_or(|name| name == t.name)) {
         let count = if args.target.is_some() { args.inputs } else { args.inputs * share(target.name) / 100 };
+        // Builds take longer than all else.
+        let stretch = if target.name == "resume" { 500 } else { 5000 };
         let mut first = args.first;
         while first < args.first + count {
-            let last = (first + 5000).min(args.first + count);
+            let last = (first + stretch).min(args.first + count);
             jobs.push((target.name, first, last));
             first = last;
         }
@@ -138,7 +140,11 @@ fn parent(args: &Args) -> ExitCode {
     for (name, counts) in &tally.counts {
         let [taken, refused, right] = counts;
         print!("{name}: {} inputs, {taken} taken, {refused} refused", taken + refused);
-        println!("{}", if name == "oct" { format!("; header and checksums of {right} pass") } else { String::new() });
+        match name.as_str() {
+            "oct" => println!("; header and checksums of {right} pass"),
+            "resume" => println!("; checksums of {right} pass"),
+            _ => println!(),
+        }
     }
     let inputs: u64 = tally.counts.values().map(|c| c[0] + c[1]).sum();
     println!("{inputs} inputs in {:.0} s: {} failures", begin.elapsed().as_secs_f64(), tally.failures);
@@ -147,7 +153,7 @@ fn parent(args: &Args) -> ExitCode {
 
 #[derive(Default)]
 struct Tally {
-    /// Taken, refused, and (octree files) of all these how many had a header and checksums that pass; by target.
+    /// Taken, refused, and (octree files, leftovers) of all these how many had a header and checksums that pass; by target.
     counts: std::collections::BTreeMap<String, [u64; 3]>,
     failures: u64,
 }
@@ -215,7 +221,11 @@ fn child(args: &Args) {
         since.store(start.elapsed().as_millis() as u64, Ordering::Relaxed);
         note(&place, number, counts);
         let input = seeds.input(name, number);
-        counts[2] += u64::from(name == "oct" && fuzz::oct::passes(&input));
+        counts[2] += u64::from(match name {
+            "oct" => fuzz::oct::passes(&input),
+            "resume" => fuzz::resume::passes(&input),
+            _ => false,
+        });
         match (target.run)(&input, folder.path()) {
             Outcome::Taken => counts[0] += 1,
             Outcome::Refused => counts[1] += 1,

@@ -184,6 +184,7 @@ impl Seeds {
                 oct::mutate(&mut file, &mut random);
                 file
             }
+            "resume" => super::resume::recipe(&mut random),
             _ => rays(&mut random),
         }
     }

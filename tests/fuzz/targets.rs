@@ -37,7 +37,7 @@ pub enum Outcome {
 }
 
 /// All of them.
-pub const TARGETS: [Target; 9] = [
+pub const TARGETS: [Target; 10] = [
     Target { name: "obj", run: obj },
     Target { name: "mtl", run: mtl },
     Target { name: "ply", run: ply },
@@ -47,10 +47,11 @@ pub const TARGETS: [Target; 9] = [
     Target { name: "scene", run: scene },
     Target { name: "oct", run: oct },
     Target { name: "rays", run: rays },
+    Target { name: "resume", run: super::resume::run },
 ];
 
 /// Every message must say something, and never ends in a line break.
-fn told(error: &Error) -> Outcome {
+pub fn told(error: &Error) -> Outcome {
     let text = error.to_string();
     assert!(!text.trim().is_empty() && !text.ends_with('\n'), "{text:?}");
     Outcome::Refused

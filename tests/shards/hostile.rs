@@ -33,7 +33,7 @@ fn are_refused_by_name_and_no_picture_is_written() {
     assert!(with(&said("\"samples\":4", "\"samples\":9")).contains("samples a pixel 9, not 4"));
     assert!(with(&said("\"share\":1", "\"share\":7")).contains("share 7 of 3"));
     assert!(with(&said("\"share\":1", "\"share\":0")).contains("tiles"));
-    assert!(with(&said("\"part\":1", "\"part\":9")).contains("version 9"));
+    assert!(with(&said("\"part\":2", "\"part\":9")).contains("version 9"));
     assert!(with(&said("[150,97]", "[0150,7]")).contains("make this share again"));
     assert!(with(&said("[150,97]", "[1e9,97]")).contains("make this share again"));
     // A picture, and something else altogether.

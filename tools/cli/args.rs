@@ -38,6 +38,11 @@ impl StatsFile {
         }
     }
 
+    /// Refuses, before any work is done, a place where they could not be put.
+    pub fn check(&self) -> Result<(), Error> {
+        self.stats.as_deref().filter(|path| !is_stdio(path)).map_or(Ok(()), super::output::check)
+    }
+
     /// Writes the statistics, if they were asked for.
     pub fn write(&self, stats: &impl serde::Serialize) -> Result<(), Error> {
         self.stats.as_deref().map_or(Ok(()), |path| super::stats::write(path, stats))
@@ -49,13 +54,19 @@ pub fn is_stdio(path: &Path) -> bool {
     path.as_os_str() == "-"
 }
 
-/// Makes rayon's global pool as large as asked for.
+/// Makes rayon's global pool, as large as asked for.
 pub fn use_threads(threads: Option<u16>) -> Result<(), Error> {
-    let Some(threads) = threads else { return Ok(()) };
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(threads.into())
-        .build_global()
-        .map_err(|e| Error::Option(format!("cannot start {threads} threads: {e}; ask for fewer")))
+    let pool = rayon::ThreadPoolBuilder::new();
+    match threads {
+        Some(threads) => pool
+            .num_threads(threads.into())
+            .build_global()
+            .map_err(|e| Error::Option(format!("cannot start {threads} threads: {e}; ask for fewer"))),
+        // Here and not when it is first used, where rayon would panic if threads cannot be had.
+        None => pool.build_global().map_err(|e| {
+            Error::Option(format!("cannot start a thread for each processor: {e}; ask for fewer (--threads)"))
+        }),
+    }
 }
 
 /// A size in bytes: `4096`, `64M`, `1.5GiB`. K, M, G, T are powers of 1024, with or without `B` or `iB`.
@@ -73,14 +84,18 @@ pub fn size(text: &str) -> Result<u64, String> {
         _ => return Err(format!("`{}` is no unit of size; use K, M, G or T", &text[digits..])),
     };
     let bytes = number * (1u64 << shift) as f64;
-    if bytes < u64::MAX as f64 { Ok(bytes.round() as u64) } else { Err("too large".to_owned()) }
+    if bytes < u64::MAX as f64 {
+        Ok(bytes.round() as u64)
+    } else {
+        Err("more than can be counted; give less than 16777216T".to_owned())
+    }
 }
 
-/// An image size: `WIDTHxHEIGHT`, both from 1 to 65535.
+/// An image size: `WIDTHxHEIGHT`, both from 1 to 65536, as scenes may have.
 pub fn image_size(text: &str) -> Result<[u32; 2], String> {
-    let wrong = || "expected WIDTHxHEIGHT, such as 1920x1080, each from 1 to 65535".to_owned();
+    let wrong = || "expected WIDTHxHEIGHT, such as 1920x1080, each from 1 to 65536".to_owned();
     let (w, h) = text.split_once(['x', 'X']).ok_or_else(wrong)?;
-    let side = |s: &str| s.parse::<u16>().ok().filter(|&n| n > 0).map(u32::from).ok_or_else(wrong);
+    let side = |s: &str| s.parse::<u32>().ok().filter(|n| (1..=65536).contains(n)).ok_or_else(wrong);
     Ok([side(w)?, side(h)?])
 }
 

@@ -4,6 +4,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use octrace::Error;
+use octrace::error::folder_of;
 
 /// A text or data file being written: under a temporary name beside its place, renamed when it is whole.
 ///
@@ -32,7 +33,7 @@ impl Whole {
             builder.prefix(".octrace-").suffix(".tmp");
             #[cfg(unix)]
             builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-            let file = builder.tempfile_in(folder(&target)).map_err(Error::create(path))?;
+            let file = builder.tempfile_in(folder_of(&target)).map_err(Error::create(path))?;
             Target::Temporary(std::io::BufWriter::with_capacity(1 << 20, file))
         };
         Ok(Whole { path: path.to_owned(), target, file })
@@ -103,9 +104,9 @@ pub fn is_special(path: &Path) -> bool {
 /// Refuses, before any work is done, a place where a finished file could not be put.
 pub fn check(path: &Path) -> Result<(), Error> {
     if path.is_dir() {
-        return Err(Error::io(path, "create")(std::io::ErrorKind::IsADirectory.into()));
+        return Err(Error::create(path)(std::io::ErrorKind::IsADirectory.into()));
     }
-    if !folder(path).is_dir() {
+    if !folder_of(path).is_dir() {
         return Err(Error::create(path)(std::io::ErrorKind::NotFound.into()));
     }
     Ok(())
@@ -118,13 +119,8 @@ pub fn same_file(a: &Path, b: &Path) -> bool {
 
 /// Whether two paths name the same place, whether or not anything is there yet.
 pub fn same_place(a: &Path, b: &Path) -> bool {
-    let parent = |path: &Path| folder(path).canonicalize().ok();
+    let parent = |path: &Path| folder_of(path).canonicalize().ok();
     same_file(a, b) || a.file_name() == b.file_name() && parent(a).is_some() && parent(a) == parent(b)
-}
-
-/// The folder that a file lies in.
-fn folder(path: &Path) -> &Path {
-    path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }
 
 #[cfg(test)]

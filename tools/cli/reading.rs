@@ -44,9 +44,6 @@ impl Reading {
                 "--memory bounds what is read page by page; it cannot bound a file that is mapped: leave out --read mapped"
                     .into(),
             )),
-            (Some(How::Mapped), None) if packed => {
-                Err(Error::Option("a packed file cannot be mapped: leave out --read mapped".into()))
-            }
             (Some(How::Mapped), None) => Ok(None),
             (None, None) if !packed => Ok(None),
             (_, Some(memory)) => Ok(Some(memory)),
@@ -63,12 +60,18 @@ pub fn open(paths: &[impl AsRef<Path>], reading: &Reading) -> Result<(Vec<Octree
     let sums = |headers: &[Header]| headers.iter().map(|header| header.checksum).collect::<Vec<_>>();
     for look in 1.. {
         let before = headers()?;
+        if reading.read == Some(How::Mapped)
+            && let Some((path, _)) = paths.iter().zip(&before).find(|(_, header)| header.flags.has(Flags::PACKED))
+        {
+            let what = "its pages are packed, so it cannot be mapped; leave out --read mapped".into();
+            return Err(Error::Input { file: path.as_ref().to_owned(), what });
+        }
         let bound = reading.bound(&before)?;
-        let open = |path: &Path| match bound {
-            Some(_) => Octree::open_with(path, Read::Budgeted { cache: Octree::least_cache(path)? }),
-            None => Octree::open_with(path, Read::Mapped),
+        let open = |(path, header): (&_, &Header)| match bound {
+            Some(_) => Octree::open_with(AsRef::as_ref(path), Read::Budgeted { cache: Octree::least_of(header) }),
+            None => Octree::open_with(AsRef::as_ref(path), Read::Mapped),
         };
-        let opened = paths.iter().map(|path| open(path.as_ref())).collect::<Result<Vec<_>, _>>();
+        let opened = paths.iter().zip(&before).map(open).collect::<Result<Vec<_>, _>>();
         let now = match &opened {
             Ok(octrees) => octrees.iter().map(|octree| *octree.header()).collect(),
             Err(_) => headers()?,

@@ -60,7 +60,7 @@ pub fn load(path: &Path, monitor: Monitor<'_>) -> Result<Mesh> {
         return Err(wrong("no faces"));
     }
     if mesh.faces.iter().flatten().any(|&v| v as usize >= mesh.points.len()) {
-        return Err(wrong("a face names a vertex that is not there"));
+        return Err(wrong("a face names a vertex that is not there; export it again"));
     }
     Ok(mesh)
 }
@@ -69,7 +69,11 @@ pub fn load(path: &Path, monitor: Monitor<'_>) -> Result<Mesh> {
 pub fn records<T: bytemuck::Pod>(path: &Path) -> Result<Vec<T>> {
     let bytes = std::fs::read(path).map_err(Error::io(path, "open"))?;
     if bytes.len() % size_of::<T>() != 0 {
-        let what = format!("{} bytes are no whole number of records of {}", bytes.len(), size_of::<T>());
+        let what = format!(
+            "{} bytes are no whole number of records of {}; the file was cut short, or is of another kind",
+            bytes.len(),
+            size_of::<T>()
+        );
         return Err(Error::Input { file: path.to_owned(), what });
     }
     let mut list = vec![T::zeroed(); bytes.len() / size_of::<T>()];

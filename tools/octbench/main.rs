@@ -45,13 +45,15 @@ struct Args {
 
 const EXAMPLES: &str = "\
 Examples:
-  octbench accuracy --rays 1e6 --stats accuracy.json
-  octbench accuracy --model bunny.obj --rays 1e6
-  octbench closed --rays 1e7
-  octbench mirrors --paths 1e6 --bounces 1000
-  octbench speed bunny.oct --view bunny-over
-  octbench tradeoff --model bunny.obj -o tradeoff
-  octbench mesh -n 1e6 -o planet.obj
+  octbench mesh -n 1e5 -o planet.obj                  a mesh to try things with
+  octbuild planet.obj -o planet.oct
+  octbench accuracy --rays 1e5 --stats accuracy.json  all families of hard cases; more rays find more
+  octbench accuracy --model planet.obj --rays 1e5     a mesh of your own
+  octbench closed --rays 1e5
+  octbench mirrors --paths 100 --bounces 1000
+  octbench speed planet.oct --view planet-over --stats speed.json
+  octbench figures speed.json
+  octbench tradeoff --model planet.obj -o tradeoff    table, and plots tradeoff.svg and tradeoff.png
 ";
 
 #[derive(Subcommand)]
@@ -194,6 +196,7 @@ fn stats_on_stdout(stats: &StatsFile) -> bool {
 }
 
 fn run_accuracy(options: &Accuracy, session: &Session<'_>) -> Result<ExitCode> {
+    options.stats.check()?;
     let Accuracy { rays, seed, .. } = *options;
     let plan = Plan { rays, families: options.families.clone(), seed, keep: options.keep.clone() };
     if let Some(folder) = &plan.keep {
@@ -241,6 +244,7 @@ fn finish(report: &Report, stats: &StatsFile, session: &Session<'_>) -> Result<(
 }
 
 fn run_closed(options: &Closed, session: &Session<'_>) -> Result<ExitCode> {
+    options.stats.check()?;
     let monitor = session.monitor();
     let (mesh, name) = match &options.model {
         Some(path) => (bench::load(path, monitor)?, path.as_path()),

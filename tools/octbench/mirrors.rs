@@ -149,6 +149,7 @@ impl BoxReport {
 
 /// Follows paths in each box; the number of escapes.
 pub fn run(options: &Options, session: &Session<'_>) -> Result<u64> {
+    options.stats.check()?;
     let known = |name: &String| BOXES.iter().any(|b| b.name == name);
     if let Some(name) = options.boxes.iter().find(|name| !known(name)) {
         let names = BOXES.map(|b| b.name).join(", ");

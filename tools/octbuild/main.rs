@@ -7,8 +7,6 @@ mod summary;
 use std::io;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
-use std::sync::Arc;
-use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 use clap::{Parser, ValueEnum};
@@ -155,12 +153,13 @@ enum Split {
 
 const EXAMPLES: &str = "\
 Examples:
-  octbuild bunny.obj -o bunny.oct                     the usual case
-  zstdcat big.obj.zst | octbuild - -o big.oct         from standard input
-  octbuild huge.obj -o huge.oct --memory 512M         never above 512 MiB, whatever the size of the mesh
-  octbuild city.obj -o city.oct --origin 4.5e5,5.4e6,0
-                                                      coordinates too large for f32
-  octbuild bunny.obj -o b.oct --split strict --cell 8  the textbook octree, to compare with
+  octbench mesh -n 1e5 -o planet.obj                  a mesh to try things with
+  octbuild planet.obj -o planet.oct                   the usual case
+  gzip -c planet.obj | octbuild - -o planet.oct       from standard input, packed or not
+  octbuild planet.obj -o planet.oct --memory 128M     never above 128 MiB, whatever the size of the mesh
+  octbuild planet.obj -o moved.oct --origin 4,2,0     another point as the origin, where coordinates are too large for f32
+  octbuild planet.obj -o strict.oct --split strict --cell 8
+                                                      the textbook octree, to compare with
 ";
 
 impl Arguments for Args {
@@ -202,8 +201,8 @@ fn main() -> ExitCode {
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     let start = Instant::now();
-    survive_file_limits()?;
     check_output(&args.input, &args.output)?;
+    args.stats.check()?;
     let origin = args.origin.unwrap_or_default().to_array();
     let tree = args.tree.options()?;
     let options = BuildOptions {
@@ -229,14 +228,6 @@ fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     session.say(summary::line(&args.output, &report, seconds));
     args.stats.write(&Stats::new(&report, seconds))?;
     Ok(ExitCode::SUCCESS)
-}
-
-/// A write beyond the limit on file sizes (`ulimit -f`) is then an error like a full disk, and does not end the process at once.
-fn survive_file_limits() -> Result<()> {
-    #[cfg(unix)]
-    signal_hook::flag::register(signal_hook::consts::SIGXFSZ, Arc::new(AtomicBool::new(false)))
-        .map_err(|e| Error::Option(format!("cannot listen for SIGXFSZ: {e}")))?;
-    Ok(())
 }
 
 /// Refuses, before any work is done, a place where the finished file could not be put.

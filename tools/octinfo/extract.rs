@@ -8,6 +8,7 @@ use std::collections::HashMap;
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 
+use octrace::error::folder_of;
 use octrace::format::MaterialRecord;
 use octrace::geometry::{Aabb, FaceId};
 use octrace::map::Octree;
@@ -262,8 +263,8 @@ fn material_text(m: &MaterialRecord, name: &str) -> String {
 
 /// The path `map`, which counts from the folder of `octree`, as it reads from the folder of `file`.
 fn from_folder_of(file: &Path, octree: &Path, map: &str) -> Result<PathBuf> {
-    let folder = |p: &Path| {
-        let folder = p.parent().filter(|f| !f.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let folder = |path: &Path| {
+        let folder = folder_of(path);
         folder.canonicalize().map_err(Error::io(folder, "read"))
     };
     let (here, there) = (folder(file)?, folder(octree)?);

@@ -6,7 +6,7 @@ mod extract;
 mod map;
 mod report;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::Parser;
@@ -52,12 +52,14 @@ struct Args {
 
 const EXAMPLES: &str = "\
 Examples:
-  octinfo bunny.oct                                   counts, bytes by part, bounds, options
-  octinfo --json bunny.oct                            the same for programs
-  octinfo --verify bunny.oct                          check all of it: exit code 0, or 3 if it is damaged
-  octinfo bunny.oct --map bunny.png                   where its bytes lie and how full it is, as a picture
-  octinfo bunny.oct --extract all -o bunny.obj        the whole mesh again
-  octinfo city.oct --extract 0,0,0,100,100,50 -o block.obj
+  octbench mesh -n 1e5 -o planet.obj                  a mesh to try things with
+  octbuild planet.obj -o planet.oct
+  octinfo planet.oct                                  counts, bytes by part, bounds, options
+  octinfo --json planet.oct                           the same for programs
+  octinfo --verify planet.oct                         check all of it: exit code 0, or 3 if it is damaged
+  octinfo planet.oct --map map.png                    where its bytes lie and how full it is, as a picture
+  octinfo planet.oct --extract all -o back.obj        the whole mesh again
+  octinfo planet.oct --extract 0,0,0,1,1,1 -o part.obj
                                                       the triangles that touch a box, in the file's frame
 ";
 
@@ -82,7 +84,10 @@ fn tell(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     if let Some(path) = &args.map {
         map::check(&args.model, path)?;
         if args.output.as_deref().is_some_and(|output| cli::output::same_place(output, path)) {
-            return Err(Error::Option(format!("{}: --map and -o would both write it", path.display())));
+            return Err(Error::Option(format!(
+                "{}: --map and -o would both write it; name another file",
+                path.display()
+            )));
         }
     }
     let octree = Octree::open(&args.model)?;
@@ -95,7 +100,8 @@ fn tell(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     };
     if let Some((taken, output)) = &taken {
         let (triangles, vertices) = (HumanCount(taken.triangles), HumanCount(taken.vertices));
-        session.say(format!("{}: {triangles} triangles, {vertices} vertices", output.display()));
+        let place: &Path = if is_stdio(output) { Path::new("<stdout>") } else { output };
+        session.say(format!("{}: {triangles} triangles, {vertices} vertices", place.display()));
     }
     if let Some(path) = &args.map {
         map::write(&octree, path, session.monitor())?;

@@ -142,7 +142,9 @@ impl Report {
         for (name, bytes) in self.by_part.list() {
             if bytes > 0 {
                 let share = bytes as f64 / self.triangles.max(1) as f64;
-                row(&format!("  {name}"), format!("{:>15}  {share:>7.2} a triangle", grouped(bytes)));
+                // Names that are longer than their column take of the next one.
+                let width = 31 - (2 + name.len()).max(16);
+                row(&format!("  {name}"), format!("{:>width$}  {share:>7.2} a triangle", grouped(bytes)));
             }
         }
         row("bounds", format!("{} to {}", point(&self.bounds.min), point(&self.bounds.max)));

@@ -1,38 +1,47 @@
-//! `--assemble`: the picture from its parts.
+//! `--assemble`: the picture from its parts, and the pictures of data that they have.
 
 use std::path::{Path, PathBuf};
 
 use indicatif::HumanCount;
 use octrace::output::{self, Format, Part};
-use octrace::render::{Film, Identity};
+use octrace::render::{Aov, AovKind, Film, Identity};
 use octrace::{Error, Result};
 
+use crate::aovs::{self, AovFile, Wish};
 use crate::cli::{self, Session};
 use crate::place::Place;
 
 /// Most shares or files that a message names.
 const NAMED: usize = 20;
 
-/// Puts parts together and writes the picture; nothing is written unless all of it is there.
-pub fn assemble(paths: &[PathBuf], output: Option<&Path>, session: &Session<'_>) -> Result<()> {
+/// Puts parts together and writes the picture, and the data that is wished for; nothing is written unless all of it is there.
+pub fn assemble(paths: &[PathBuf], output: Option<&Path>, data: &[Wish], session: &Session<'_>) -> Result<()> {
     let (Some(output), Some(first)) = (output, paths.first()) else {
         return Err(Error::Option("--assemble needs parts, and -o IMAGE".into()));
     };
     if let Some(part) = paths.iter().find(|part| cli::output::same_place(part, output)) {
-        return Err(Error::Option(format!("{}: the picture would be written over a part", part.display())));
+        return Err(Error::Option(format!(
+            "{}: the picture would be written over a part; name another file",
+            part.display()
+        )));
     }
     let place = Place::choose(Some(output), None, first)?;
+    let inputs: Vec<&Path> = paths.iter().map(PathBuf::as_path).collect();
+    let files = aovs::files(data, &place, &inputs, "a part")?;
     let monitor = session.monitor();
     monitor.phase("check");
     let parts = paths.iter().map(|path| Part::open(path)).collect::<Result<Vec<_>>>()?;
     // As many as there are paths, of which there is one.
-    let identity = whole(&parts[0], &parts)?;
-    let ([width, height], tonemap) = (identity.size(), identity.tonemap);
+    let identity = whole(&parts[0], &parts, &files)?;
+    let (size @ [width, height], tonemap) = (identity.size(), identity.tonemap);
     let mut film = Film::new(width, height)?;
+    let mut aovs = files.iter().map(|file| Aov::new(file.kind, size)).collect::<Result<Vec<_>>>()?;
     monitor.phase("assemble");
     for (done, part) in (1..).zip(&parts) {
         monitor.check()?;
-        part.read()?.put(&mut film)?;
+        let portion = part.read()?;
+        portion.put(&mut film)?;
+        aovs.iter_mut().try_for_each(|aov| portion.put_aov(aov))?;
         monitor.progress(done, Some(parts.len() as u64), "parts");
     }
     monitor.phase("write");
@@ -40,16 +49,21 @@ pub fn assemble(paths: &[PathBuf], output: Option<&Path>, session: &Session<'_>)
         Place::Stdout => cli::output::print_bytes(&output::encode(&film, Format::PNG, tonemap)?)?,
         Place::File(path) => output::save(&film, path, tonemap)?,
     }
+    files.iter().zip(aovs).try_for_each(|(file, aov)| output::save_aov(aov, &file.path))?;
     session.say(format!("{place}: {width} x {height} pixels from {} parts", HumanCount(parts.len() as u64)));
     Ok(())
 }
 
-/// What picture these parts are of. Fails unless they are all of its parts, each once; says which are missing, doubled, or of another.
-fn whole<'a>(first: &'a Part, parts: &[Part]) -> Result<&'a Identity> {
+/// What picture these parts are of. Fails unless they are all of its parts, each once, and have the data for these files; says which are missing,
+/// doubled, of another picture, or without data.
+fn whole<'a>(first: &'a Part, parts: &[Part], files: &[AovFile]) -> Result<&'a Identity> {
     let mut wrong = Vec::new();
     for part in parts {
         if let Some(what) = difference(first, part) {
-            wrong.push(format!("{} is of another picture than {}: {what}", part.path.display(), first.path.display()));
+            let [this, other] = [part, first].map(|part| part.path.display());
+            wrong.push(format!(
+                "{this} is of another picture than {other}: {what}; make both of one scene, with the same options"
+            ));
         }
     }
     if wrong.is_empty() {
@@ -69,8 +83,19 @@ fn whole<'a>(first: &'a Part, parts: &[Part]) -> Result<&'a Identity> {
             let list = few(missing.iter().map(ToString::to_string));
             wrong.push(format!("{count} of {of} shares are missing: {list}; make them with --shard I/{of}"));
         }
+        wrong.extend(parts.iter().filter_map(|part| lacking(part, files)));
     }
     if wrong.is_empty() { Ok(&first.identity) } else { Err(Error::Option(few_lines(wrong))) }
+}
+
+/// What data a part should have and has not.
+fn lacking(part: &Part, files: &[AovFile]) -> Option<String> {
+    let mut kinds: Vec<AovKind> = files.iter().map(|file| file.kind).filter(|kind| !part.data.contains(kind)).collect();
+    kinds.sort_unstable();
+    kinds.dedup();
+    let options: Vec<String> = kinds.iter().map(|kind| format!("--aov {}", kind.name())).collect();
+    let (path, share, options) = (part.path.display(), part.share, options.join(" "));
+    (!kinds.is_empty()).then(|| format!("{path} was made without {options}: make share {share} again with it"))
 }
 
 /// How two parts differ in what all parts of a picture have in common.

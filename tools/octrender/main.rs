@@ -21,7 +21,7 @@ use octrace::build::BuildOptions;
 use octrace::map::Octree;
 use octrace::mesh::ReadOptions;
 use octrace::output::{self, Format};
-use octrace::render::{self, AovKind, Picture, Plan, Settings, Share, Statistics, Tile};
+use octrace::render::{self, AovKind, Picture, Plan, Settings, Share, Statistics, Tile, Tiling};
 use octrace::scene::{LoadOptions, MeshFile, Scene};
 use octrace::shade::World;
 use octrace::{Error, Result, find_or_build};
@@ -38,7 +38,7 @@ use statistics::Stats;
 #[derive(Parser)]
 #[command(name = "octrender", version, after_help = EXAMPLES)]
 struct Args {
-    /// What to draw: a scene file (`-`: standard input), an octree file, or an OBJ file
+    /// What to draw: a scene file (`-`: standard input), an octree file, or a mesh (OBJ, PLY, STL, also .gz and .zst)
     #[arg(value_name = "SCENE.txt|MODEL.oct|MODEL.obj", required_unless_present = "assemble")]
     input: Option<PathBuf>,
     /// The picture: PNG, EXR, HDR and others by suffix
@@ -85,13 +85,13 @@ struct PictureArgs {
     /// Write a picture of data too: depth, normal, position, face, material, shadow, cost, pages or reads
     ///
     /// As .exr (the numbers) or .png (false colours). Cost is the nodes and leaves visited, pages those entered, reads those that were waited for (with --memory). May be
-    /// repeated.
-    #[arg(long, value_name = "NAME=FILE", value_parser = aovs::parse)]
-    aov: Vec<AovFile>,
+    /// repeated. With --shard give NAME alone: the part takes the data; and NAME=FILE to --assemble.
+    #[arg(long, value_name = "NAME=FILE|NAME", value_parser = aovs::parse)]
+    aov: Vec<aovs::Wish>,
     /// Let parts of a mesh smaller than so many pixels stand for their triangles [default: 0]
     ///
     /// Faster from afar, fewer pages read, and off by at most that, which is told; 0 is exact.
-    #[arg(long, value_name = "PX", value_parser = pixel_error)]
+    #[arg(long, value_name = "PX", value_parser = pixel_error, allow_negative_numbers = true)]
     lod: Option<f64>,
 }
 
@@ -103,16 +103,17 @@ struct Farm {
     ///
     /// The part is NAME.part-I-of-N.exr. auto/N takes I, and auto takes both, from what the scheduler says: SLURM_ARRAY_TASK_ID and its
     /// like in an array of Slurm, or JOB_COMPLETION_INDEX in an indexed job of Kubernetes, which needs auto/N.
-    #[arg(long, value_name = "I/N|auto/N|auto", value_parser = shard::parse, conflicts_with = "aov")]
+    #[arg(long, value_name = "I/N|auto/N|auto", value_parser = shard::parse)]
     shard: Option<shard::Wish>,
     /// Put the parts of a picture together; the same bytes as drawn by one machine
+    ///
+    /// With --aov NAME=FILE also the data that the parts have.
     #[arg(long, value_name = "PART", num_args = 1.., requires = "output", conflicts_with_all = ALONE)]
     assemble: Vec<PathBuf>,
 }
 
 /// What makes no sense where nothing is drawn.
-const ALONE: [&str; 11] =
-    ["input", "lenient", "size", "samples", "depth", "crop", "aov", "lod", "shard", "memory", "stats"];
+const ALONE: [&str; 10] = ["input", "lenient", "size", "samples", "depth", "crop", "lod", "shard", "memory", "stats"];
 
 /// An error in pixels: 0 or more.
 fn pixel_error(text: &str) -> std::result::Result<f64, String> {
@@ -122,23 +123,30 @@ fn pixel_error(text: &str) -> std::result::Result<f64, String> {
 
 const EXAMPLES: &str = "\
 Ctrl-C writes what is done so far; a second Ctrl-C ends at once.
-An OBJ file is built into an octree file once, which is reused while the OBJ file does not change.
+A mesh is built into an octree file once, which is reused while the mesh does not change.
 
 Examples:
-  octrender bunny.oct                                 a picture bunny.png, nothing else to say
-  octrender scenes/mirror_room.txt -o room.png --size 1920x1080 --samples 16
+  octbench mesh -n 1e5 -o planet.obj                  a mesh to try things with
+  octrender planet.obj                                a picture planet.png, nothing else to say
+  octbuild planet.obj -o planet.oct
+  octrender planet.oct -o large.png --size 1920x1080 --samples 16
+  octrender planet.oct --memory 128M                  a file of any size, never above 128 MiB of memory
+  octrender planet.oct --size 64x64 --lod 1 -o far.png
+                                                      far away: nodes under a pixel stand for their triangles
+  printf 'frame 1 -1 -2\\nsun -1 -2 -1 1\\nmat diff 1 0.8 0.6\\noct planet.oct\\n' > scene.txt
+                                                      a scene file; SCENE.md has the language
   octrender scene.txt -o light.exr                    linear light, unclamped
-  octrender huge.oct --memory 512M                    a file of any size, never above 512 MiB of memory
-  octrender planet.oct --lod 1                        far away: nodes under a pixel stand for their triangles
-  octrender scene.txt --crop 400,300,500,400 --samples 64 -o detail.png
+  octrender scene.txt --crop 200,200,300,300 --samples 64 -o detail.png
   octrender scene.txt --aov depth=depth.exr --aov cost=cost.png
   octrender scene.txt --watch --preview 2             again whenever a file of it changes; what is done, every 2 s
   octrender scene.txt --shard 0/2                     the first of two shares: scene.part-0-of-2.exr
   octrender scene.txt --shard 1/2
   octrender --assemble scene.part-*-of-2.exr -o scene.png
+  octrender scene.txt --shard 0/1 --aov depth -o part.exr     data of a share goes into its part
+  octrender --assemble part.exr -o scene.png --aov depth=depth.exr
 
 Files:
-  MODEL.obj.cache.oct  the octree file of MODEL.obj, beside it or, where that cannot be written, in the user's cache folder
+  MODEL.obj.cache.oct  the octree file of a mesh MODEL.obj, beside it or, where that cannot be written, in the user's cache folder
   NAME.partial.png     what was done when Ctrl-C came, beside the picture NAME.png
 ";
 
@@ -153,48 +161,70 @@ fn main() -> ExitCode {
 }
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
+    args.stats.check()?;
     let Some(input) = &args.input else {
-        assemble::assemble(&args.farm.assemble, args.output.as_deref(), session)?;
+        assemble::assemble(&args.farm.assemble, args.output.as_deref(), &args.picture.aov, session)?;
         return Ok(ExitCode::SUCCESS);
     };
     if !args.live.watch {
         return draw(args, input, session);
     }
     if cli::args::is_stdio(input) || args.output.as_deref().is_some_and(cli::args::is_stdio) {
-        return Err(Error::Option("--watch draws from files into files, not by standard input or output".into()));
+        return Err(Error::Option(
+            "--watch draws from files into files, not by standard input or output: name files".into(),
+        ));
     }
     watch::watch(input, session, |session| draw(args, input, session))
 }
 
 /// What is drawn, and where it goes.
 enum Goal {
-    Whole(Place),
-    Share(Share, PathBuf),
+    Whole { place: Place, aovs: Vec<AovFile> },
+    Share { share: Share, part: PathBuf, data: Vec<AovKind> },
 }
 
 impl Goal {
     fn choose(args: &Args, input: &Path, scene: &Scene) -> Result<Goal> {
         let (wish, said) = (args.output.as_deref(), scene.output.as_deref());
-        let goal = match args.farm.shard {
-            None => Goal::Whole(Place::choose(wish, said, input)?),
-            Some(shard) => {
-                let share = shard.share()?;
-                Goal::Share(share, shard::place(wish, said, input, share)?)
-            }
-        };
-        if matches!(goal, Goal::Whole(Place::Stdout)) {
+        let aovs = &args.picture.aov;
+        if let Some(shard) = args.farm.shard {
+            let share = shard.share()?;
+            let data = aovs::for_part(aovs)?;
+            return Ok(Goal::Share { share, part: shard::place(wish, said, input, share)?, data });
+        }
+        let place = Place::choose(wish, said, input)?;
+        if place == Place::Stdout {
             args.stats.not_stdout("the picture")?;
             if args.live.preview.is_some() {
-                return Err(Error::Option("--preview renews a file; standard output cannot be renewed".into()));
+                return Err(Error::Option(
+                    "--preview renews a file; standard output cannot be renewed: give -o IMAGE".into(),
+                ));
             }
         }
-        Ok(goal)
+        let aovs = aovs::files(aovs, &place, &[input], "the input")?;
+        Ok(Goal::Whole { place, aovs })
     }
 
     fn place(&self) -> Place {
         match self {
-            Goal::Whole(place) => place.clone(),
-            Goal::Share(_, path) => Place::File(path.clone()),
+            Goal::Whole { place, .. } => place.clone(),
+            Goal::Share { part, .. } => Place::File(part.clone()),
+        }
+    }
+
+    /// How many pictures of data are made.
+    fn aovs(&self) -> usize {
+        match self {
+            Goal::Whole { aovs, .. } => aovs.len(),
+            Goal::Share { data, .. } => data.len(),
+        }
+    }
+
+    /// Bytes that writing takes beside what a plan provides for: a part is written at once, with all data of its share.
+    fn written_bytes(&self, size: [u32; 2]) -> Result<u64> {
+        match self {
+            Goal::Whole { .. } => Ok(0),
+            Goal::Share { share, data, .. } => Ok(24 * (data.len() * Tiling::new(size, *share)?.pixels()) as u64),
         }
     }
 }
@@ -203,19 +233,19 @@ fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
     let scene = load(input, args, session)?;
     let goal = Goal::choose(args, input, &scene)?;
     let place = goal.place();
-    aovs::check(&args.picture.aov, &place, input)?;
     let tonemap = scene.tonemap;
     let paths = scene.meshes.iter().map(|mesh| find(mesh, args, session)).collect::<Result<Vec<_>>>()?;
     let (meshes, bound) = reading::open(&paths, &args.reading)?;
     let meshes: Vec<Arc<Octree>> = meshes.into_iter().map(Arc::new).collect();
-    let PictureArgs { size, samples, depth, crop, lod, ref aov } = args.picture;
+    let PictureArgs { size, samples, depth, crop, lod, .. } = args.picture;
     let lod = lod.filter(|pixels| *pixels > 0.0);
     let world = World::new(scene, meshes.clone(), session.monitor())?.with_lod(lod.unwrap_or(0.0))?;
     let mut settings = Settings { size, samples, depth, crop, ..Settings::default() };
     let [width, height] = render::region(world.scene(), &settings)?;
     if let Some(memory) = bound {
         let shown = args.live.pixel_bytes() * u64::from(width) * u64::from(height);
-        let plan = plan(&world, &settings, aov.len(), lod.is_some(), shown, memory, &meshes)?;
+        let beside = shown + goal.written_bytes([width, height])?;
+        let plan = plan(&world, &settings, goal.aovs(), lod.is_some(), beside, memory, &meshes)?;
         (settings.tile, settings.wave) = (plan.tile, plan.wave);
         for mesh in &meshes {
             reading::warning(mesh.path(), mesh.header(), memory)
@@ -231,39 +261,39 @@ fn draw(args: &Args, input: &Path, session: &Session<'_>) -> Result<ExitCode> {
     let shown = Shown { place: &place, size: [width, height], tonemap };
     let monitor = session.monitor();
     let stats = match &goal {
-        Goal::Share(share, path) => {
+        Goal::Share { share, part, data } => {
             let draw =
                 |watcher: &(dyn Fn(Tile<'_>) + Sync)| render::render_share(&world, &settings, *share, watcher, monitor);
-            let (portion, statistics) = args.live.show(shown, monitor, draw)?;
+            let (mut portion, statistics) = args.live.show(shown, monitor, draw)?;
             meshes.iter().try_for_each(|mesh| mesh.fault())?;
+            let stats = stats([width, height], &statistics, Some(*share));
+            portion.data = aovs::of_share(data, &world, &settings, *share, &meshes, session)?;
+            // What pages take is free for writing the part.
+            drop((world, meshes));
             monitor.phase("write");
-            output::save_part(&portion, path)?;
-            stats([width, height], &statistics, Some(*share))
+            output::save_part(&portion, part)?;
+            stats
         }
-        Goal::Whole(_) => {
+        Goal::Whole { place, aovs } => {
             let draw = |watcher: &(dyn Fn(Tile<'_>) + Sync)| render::render_shown(&world, &settings, watcher, monitor);
             let picture = args.live.show(shown, monitor, draw)?;
             meshes.iter().try_for_each(|mesh| mesh.fault())?;
             if !picture.complete {
-                return broken_off(&picture, &place, tonemap, args.live.watch, session);
+                return broken_off(&picture, place, tonemap, args.live.watch, session);
             }
             let stats = stats([width, height], &picture.statistics, None);
             let mut drawn = Some((world, meshes));
-            if aov.is_empty() {
+            if aovs.is_empty() {
                 // What pages take is free for writing the picture.
                 drawn = None;
             }
             monitor.phase("write");
-            match &place {
+            match place {
                 Place::Stdout => cli::output::print_bytes(&output::encode(&picture.film, Format::PNG, tonemap)?)?,
                 Place::File(path) => output::save(&picture.film, path, tonemap)?,
             }
             if let Some((world, meshes)) = &drawn {
-                // Where pages are read is told by a pass of its own that begins with none in memory.
-                let (reads, others): (Vec<_>, Vec<_>) = aov.iter().cloned().partition(|aov| aov.kind == AovKind::Reads);
-                aovs::write(&others, world, &settings, session)?;
-                meshes.iter().filter(|_| !reads.is_empty()).for_each(|mesh| mesh.forget());
-                aovs::write(&reads, world, &settings, session)?;
+                aovs::write(aovs, world, &settings, meshes, session)?;
             }
             stats
         }
@@ -295,13 +325,13 @@ fn find(mesh: &MeshFile, args: &Args, session: &Session<'_>) -> Result<PathBuf> 
 }
 
 /// Shares the memory that is left out among waves of rays and the pages of all meshes. Each of the pictures of data takes its part too, and
-/// what there is for level of detail, if that is asked for, and what shows the picture meanwhile (`shown` bytes).
+/// what there is for level of detail, if that is asked for, and what shows the picture meanwhile or is written of it (`beside` bytes).
 fn plan(
     world: &World,
     settings: &Settings,
     aovs: usize,
     lod: bool,
-    shown: u64,
+    beside: u64,
     memory: u64,
     meshes: &[Arc<Octree>],
 ) -> Result<Plan> {
@@ -310,7 +340,7 @@ fn plan(
     let least = leasts.iter().sum::<u64>();
     let plan_for = |memory| Plan::new(world.scene(), settings, aovs, rayon::current_num_threads(), memory, least);
     let detail: u64 = if lod { meshes.iter().map(|mesh| mesh.detail_bytes()).sum() } else { 0 };
-    let beside = detail + shown;
+    let beside = detail + beside;
     let memory = memory.saturating_sub(beside);
     let plan = match reading::left_of(memory, &headers) {
         Err(taken) => Err(taken + plan_for(0)?.err().unwrap_or(0)),

@@ -22,9 +22,10 @@ impl InputKind {
     /// By the suffix; whatever is no mesh is a scene.
     pub fn of(path: &Path) -> InputKind {
         let name = path.file_name().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        let stem = [".gz", ".zst"].iter().find_map(|suffix| name.strip_suffix(suffix)).unwrap_or(&name);
         if name.ends_with(".oct") {
             InputKind::Octree
-        } else if [".obj", ".obj.gz", ".obj.zst"].iter().any(|suffix| name.ends_with(suffix)) {
+        } else if [".obj", ".ply", ".stl"].iter().any(|suffix| stem.ends_with(suffix)) {
             InputKind::Mesh
         } else {
             InputKind::Scene
@@ -90,7 +91,7 @@ impl std::fmt::Display for Place {
 fn named_after(input: &Path) -> PathBuf {
     let mut name = PathBuf::from(input.file_name().unwrap_or("picture".as_ref()));
     while let Some(suffix) = name.extension() {
-        if !["gz", "zst", "obj", "oct", "txt"].iter().any(|s| suffix.eq_ignore_ascii_case(s)) {
+        if !["gz", "zst", "obj", "ply", "stl", "oct", "txt"].iter().any(|s| suffix.eq_ignore_ascii_case(s)) {
             break;
         }
         name.set_extension("");

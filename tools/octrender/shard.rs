@@ -47,8 +47,10 @@ impl Wish {
         };
         let number = |name: &str| -> Result<Option<u32>> {
             let Some(text) = variable(name) else { return Ok(None) };
-            let number =
-                text.trim().parse().map_err(|_| Error::Option(format!("{name} is `{text}`, which is no number")))?;
+            let number = text
+                .trim()
+                .parse()
+                .map_err(|_| Error::Option(format!("{name} is `{text}`, which is no number; give --shard I/N")))?;
             Ok(Some(number))
         };
         match (number("SLURM_ARRAY_TASK_ID")?, number("JOB_COMPLETION_INDEX")?, of) {
@@ -105,8 +107,7 @@ pub fn place(wish: Option<&Path>, scene: Option<&Path>, input: &Path, share: Sha
         }
     };
     if is_stdio(&path) || path.extension().is_none_or(|suffix| !suffix.eq_ignore_ascii_case("exr")) {
-        let what =
-            "a part of a picture is an EXR file: give -o PART.exr, or a folder; the picture is made by --assemble";
+        let what = "a part of a picture is an EXR file: give -o PART.exr, or a folder that is there; the picture is made by --assemble";
         return Err(Error::Option(format!("{}: {what}", path.display())));
     }
     cli::output::check(&path)?;

@@ -61,10 +61,15 @@ A hit is 16 bytes: f32 t, u32 face, f32 u, f32 v, with the point (1-u-v) v0 + u 
 a miss has t = infinity and face = 0xFFFFFFFF.
 
 Examples:
-  octtrace bunny.oct < rays.bin > hits.bin
-  octtrace bunny.oct --any < rays.bin > blocked.bin
-  octtrace huge.oct --memory 256M < rays.bin > hits.bin
-  octtrace bunny.oct --repeat 9 --threads 1 --stats speed.json < rays.bin > hits.bin
+  octbench mesh -n 1e5 -o planet.obj                  a mesh to try things with
+  octbuild planet.obj -o planet.oct
+  octbench speed planet.oct --rounds 1 --keep-rays rays
+                                                      and rays: the folder of that name gets some sets
+  octtrace planet.oct < rays/chords.rays > hits.bin
+  octtrace planet.oct --any < rays/chords.rays > blocked.bin
+  octtrace planet.oct --memory 128M < rays/chords.rays > hits.bin
+                                                      a file of any size, never above 128 MiB of memory
+  octtrace planet.oct --repeat 9 --threads 1 --stats speed.json < rays/chords.rays > hits.bin
 ";
 
 /// The statistics file.
@@ -93,6 +98,7 @@ fn main() -> ExitCode {
 
 fn work(args: &Args, session: &Session<'_>) -> Result<ExitCode> {
     args.stats.not_stdout("the hits")?;
+    args.stats.check()?;
     let (octree, batch) = open(args, session)?;
     if std::io::stdin().is_terminal() {
         return Err(Error::Option("standard input is a terminal; give rays: octtrace MODEL.oct < RAYS > HITS".into()));

@@ -48,7 +48,7 @@ impl<R: Read> RayReader<R> {
 
     fn cut_short(&self, rest: u64) -> Error {
         let what = format!(
-            "the rays end within a ray: the one at byte offset {} has {rest} of {RAY_BYTES} bytes; \
+            "the rays end within a ray: the one at byte offset {} has {rest} of {RAY_BYTES} bytes; look whether they were cut short: \
              a ray is 8 little-endian f32 (origin, direction, tmin, tmax)",
             self.offset - rest
         );

@@ -46,10 +46,10 @@ impl Build<'_> {
             let written = if records.memory().is_some() { 0 } else { records.len() };
             check_parts(4 * words, 4 * written, parts, work.temp(), output)?;
         }
-        let mut parts = cuts.write(records, Spool::new(work, "parts", self.tuning.record_words))?;
+        let mut parts = cuts.write(records, Spool::new(work, "parts", self.tuning.record_words).summed())?;
         if let Some(state) = state {
             parts.spill()?;
-            state.add_parts(parts.len());
+            state.add_parts(parts.len(), parts.checksum());
             state.save(work)?;
         }
         self.has_parts();

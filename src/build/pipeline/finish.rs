@@ -8,7 +8,7 @@ use super::super::materials::materials;
 use super::super::report::BuildReport;
 use super::super::subtree::{build_top, top_levels, top_surrogates};
 use super::Build;
-use crate::error::Result;
+use crate::error::{Result, folder_of};
 use crate::format::{Brick, Flags, Header, LeafUnit, Node, Points, SplitMode, Surrogate, Top};
 
 impl Build<'_> {
@@ -16,10 +16,9 @@ impl Build<'_> {
     pub(super) fn finish(mut self, output: &Path) -> Result<BuildReport> {
         self.monitor.check()?;
         let nodes = if self.tops.len() > 1 { build_top(&self.tops).0 } else { Vec::new() };
-        let folder = output.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
         // Only named where some face has one: then the file has material numbers too.
         let used: &[_] = if self.layout.materials { &self.mesh.materials } else { &[] };
-        let (materials, strings) = materials(used, folder);
+        let (materials, strings) = materials(used, folder_of(output));
         let header = self.header(&nodes, materials.len());
         (self.report.nodes, self.report.depth) = (header.nodes, header.depth);
         self.report.pages = self.records.len() as u32;
@@ -72,7 +71,7 @@ impl Build<'_> {
         above.iter().zip(&self.depths).map(|(above, below)| above + below).max().unwrap_or(0)
     }
 
-    fn flags(&self) -> Flags {
+    pub(super) fn flags(&self) -> Flags {
         let repeats = self.rule.placement.repeats() || self.report.references > self.report.triangles;
         let flag = |mask: u32, set: bool| if set { mask } else { 0 };
         Flags(

@@ -28,20 +28,7 @@ const LONGEST: usize = 200;
 /// The nodes of the mended tree, in preorder as they were, but without plans; `None` if a path became too long.
 pub(super) fn optimise(nodes: Vec<BinaryNode>) -> Option<Vec<BinaryNode>> {
     let mut tree = Tree::of(nodes);
-    let mut order: Vec<u32> = (1..tree.nodes.len() as u32).collect();
-    for _ in 0..ROUNDS {
-        // The largest first: they have most to gain.
-        order.sort_unstable_by(|&a, &b| tree.area(b).total_cmp(&tree.area(a)).then(a.cmp(&b)));
-        for &node in &order {
-            if tree.refits > REFITS * tree.nodes.len() {
-                break;
-            }
-            if let Some(to) = tree.best_place(node) {
-                tree.reinsert(node, to);
-            }
-        }
-    }
-    drop(order);
+    tree.mend();
     tree.in_preorder()
 }
 
@@ -66,6 +53,23 @@ impl Tree {
             parents[node.right as usize] = i;
         }
         Tree { nodes, parents, refits: 0 }
+    }
+
+    /// Moves nodes to better places.
+    fn mend(&mut self) {
+        let mut order: Vec<u32> = (1..self.nodes.len() as u32).collect();
+        for _ in 0..ROUNDS {
+            // The largest first: they have most to gain.
+            order.sort_unstable_by(|&a, &b| self.area(b).total_cmp(&self.area(a)).then(a.cmp(&b)));
+            for &node in &order {
+                if self.refits > REFITS * self.nodes.len() {
+                    return;
+                }
+                if let Some(to) = self.best_place(node) {
+                    self.reinsert(node, to);
+                }
+            }
+        }
     }
 
     fn span(&self, node: u32) -> Span {
@@ -262,9 +266,8 @@ mod tests {
         }
     }
 
-    #[test]
-    fn a_wall_leaves_the_dust() {
-        // Dust along a line with a wall in the midst of each eighth: the walls end up together, away from the dust.
+    /// Dust along a line with a wall in the midst of each eighth.
+    fn dust_and_walls() -> Vec<BinaryNode> {
         let boxes: Vec<[f32; 6]> = (0..64)
             .map(|i| match i % 8 {
                 3 => [0.0, 0.0, 0.0, 64.0, 64.0, 0.1],
@@ -273,11 +276,39 @@ mod tests {
             .collect();
         let mut nodes = Vec::new();
         halved(&boxes, 0, &mut nodes);
+        nodes
+    }
+
+    #[test]
+    fn a_wall_leaves_the_dust() {
+        // The walls end up together, away from the dust.
+        let nodes = dust_and_walls();
         let (_, before) = check(&nodes, 0, &mut Vec::new());
         let mended = optimise(nodes).expect("short paths");
         let (_, after) = check(&mended, 0, &mut Vec::new());
         let walls = 64.0 * 64.0 + 2.0 * 6.4;
         assert!(before > 30.0 * walls && after < 24.0 * walls, "{before} {after} {walls}");
+    }
+
+    /// No mesh was found that takes [`REFITS`] steps a node (lists of thousands of boxes took 15), so most of them are taken in advance.
+    #[test]
+    fn mending_ends_where_the_steps_are_used_up() {
+        let mended = |taken: usize| {
+            let mut tree = Tree::of(dust_and_walls());
+            tree.refits = taken;
+            tree.mend();
+            let nodes = tree.in_preorder().expect("short paths");
+            (check(&nodes, 0, &mut Vec::new()).1, tree.refits - taken)
+        };
+        let all = REFITS * dust_and_walls().len();
+        let (_, unmended) = check(&dust_and_walls(), 0, &mut Vec::new());
+        let (whole, steps) = mended(0);
+        assert!(steps > 100 && steps < all, "{steps} steps");
+        // The last move may take three paths more than there were, and they are short here.
+        let (part, some) = mended(all - 50);
+        assert!(some > 50 && some < 100, "{some} steps");
+        assert!(whole < part && part < unmended, "{whole} {part} {unmended}");
+        assert_eq!(mended(all + 1), (unmended, 0));
     }
 
     #[test]

@@ -54,7 +54,7 @@ fn what_makes_no_sense_is_a_warning() {
     let (found, warnings) = load_bytes(
         b"newmtl a\nKd 1 x 0\nKd spectral x.rfl\nKs\nd -halo 0.5\nillum 999\nmap_Kd\nNs 5\nnewmtl\nKd 1 1 1\nnewmtl b\xe9\nKd 1\n",
     );
-    assert_eq!(warnings, "DIR/a.mtl: lines that make no sense are ignored: 2, 3, 4, 5, 6, 7, 9\n");
+    assert_eq!(warnings, "DIR/a.mtl: these lines make no sense and are ignored: 2, 3, 4, 5, 6, 7, 9\n");
     let names: Vec<&str> = found.iter().map(|material| &material.name[..]).collect();
     assert_eq!(names, ["a", "bé"]);
     assert_eq!((found[0].ns, found[0].kd, found[1].kd), (Some(5.0), None, Some([1.0; 3])));
@@ -92,7 +92,7 @@ fn libraries_may_have_blanks_in_their_names_or_be_several() {
     };
     let used = || names(&["c", "ab", "no", "c # blue"]);
     let libraries = names(&["a b.mtl", "c.mtl", "gone.mtl"]);
-    let (found, warnings) = watched(|monitor| resolve(folder.path(), &libraries, used(), 10_000, monitor));
+    let (found, warnings) = watched(|monitor| resolve(("a.obj", folder.path()), &libraries, used(), 10_000, monitor));
     let found = found.unwrap();
     assert_eq!(found.iter().map(|material| material.ns).collect::<Vec<_>>(), [Some(2.0), Some(1.0), None, Some(2.0)]);
     assert_eq!((&found[2].name[..], &found[3].name[..]), ("no", "c # blue"));
@@ -100,7 +100,7 @@ fn libraries_may_have_blanks_in_their_names_or_be_several() {
     assert!(warnings.contains("no material library defines \"no\": "), "{warnings}");
     // A texture takes memory too.
     let enough = bytes_of(&used());
-    let found = |memory| resolve(folder.path(), &libraries, used(), memory, Monitor::silent());
+    let found = |memory| resolve(("a.obj", folder.path()), &libraries, used(), memory, Monitor::silent());
     assert!(found(enough).is_some());
     std::fs::write(at("a b.mtl"), "newmtl ab\nmap_Kd x.png").unwrap();
     assert!(found(enough).is_none() && found(enough + 1000).is_some());

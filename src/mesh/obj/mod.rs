@@ -70,7 +70,8 @@ impl TriangleSource for ObjSource {
         end.forward.check(&mut self.input, &self.options, end.counts)?;
         let count = end.materials.len();
         let (folder, memory) = (self.input.folder(), self.options.material_memory);
-        let materials = mtl::resolve(&folder, &end.libraries, end.materials, memory, monitor)
+        let name = self.input.name().to_string();
+        let materials = mtl::resolve((&name, &folder), &end.libraries, end.materials, memory, monitor)
             .ok_or_else(|| sequel::too_many_materials(self.input.error_path(), count))?;
         let files = mtl::library_files(&folder, &end.libraries);
         Ok(SourceInfo { materials, too_few_corners: end.too_few, bad_index: end.bad, files })

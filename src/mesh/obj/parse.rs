@@ -205,7 +205,7 @@ impl<'a> Parser<'a> {
                 return Err(Problem::new(
                     keyword,
                     "NUL bytes in the text",
-                    "the file is damaged or binary from here on",
+                    "the file is damaged or binary from here on; fetch it again",
                 ));
             }
             _ => {}
@@ -296,7 +296,7 @@ fn shifted(decimal: Decimal, origin: f64) -> Option<f32> {
 
 fn not_a_number(place: Range<usize>, word: &[u8]) -> Problem {
     let help = match word {
-        _ if memchr::memchr(0, word).is_some() => "the file is damaged or binary from here on",
+        _ if memchr::memchr(0, word).is_some() => "the file is damaged or binary from here on; fetch it again",
         _ if memchr::memchr(b',', word).is_some() => "OBJ writes decimals with a point and numbers apart with blanks",
         _ => "",
     };

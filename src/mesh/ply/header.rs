@@ -118,12 +118,15 @@ impl Header {
                 _ => return wrong(),
             }
             if number > MOST_LINES {
-                return Ok(Err(format!("the header has more than {MOST_LINES} lines, the most that are read")));
+                return Ok(Err(format!(
+                    "the header has more than {MOST_LINES} lines, the most that are read; take out comments"
+                )));
             }
         }
-        Ok(coding
-            .map(|coding| Header { coding, elements })
-            .ok_or_else(|| "the header names no format: ascii, binary_little_endian or binary_big_endian".into()))
+        Ok(coding.map(|coding| Header { coding, elements }).ok_or_else(|| {
+            "the header names no format (ascii, binary_little_endian or binary_big_endian); export the mesh again"
+                .into()
+        }))
     }
 }
 

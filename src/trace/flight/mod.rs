@@ -12,8 +12,8 @@ use bytemuck::Zeroable;
 
 use super::Counters;
 use super::arch::{Job, Kernel};
-use super::ask::Ask;
-use super::collect::{Collector, Stored};
+use super::ask::{Answer, Pause};
+use super::collect::Stored;
 use super::setup::Setup;
 use super::walk::{File, LEVELS, Level, Start, TOP, View};
 use crate::exact::{Depths, LANES, Lanes, Shear};
@@ -49,7 +49,7 @@ thread_local! {
 }
 
 /// Rays to be walked many at a time, with whichever kernel is there.
-pub(super) struct Flight<'a, 'w, A: Ask> {
+pub(super) struct Flight<'a, 'w, A: Pause> {
     pub ask: &'w A,
     pub rays: &'w [Ray],
     /// The first ray to be walked; those before it are left alone.
@@ -108,10 +108,7 @@ impl Queues {
     }
 }
 
-impl<A: Ask> Job for Flight<'_, '_, A>
-where
-    for<'c> A::Collector<'c>: Collector<'c>,
-{
+impl<A: Pause> Job for Flight<'_, '_, A> {
     type Output = Result<(), Halt>;
 
     #[inline(always)]
@@ -236,7 +233,7 @@ fn at<'s, F>(flying: &'s mut [F; RAYS], stacks: &'s mut Stacks, i: u8) -> (&'s m
 
 /// Gives the answers to up to sixteen rays whose walks are over.
 #[inline(always)]
-fn land<'a, K: Kernel, A: Ask>(
+fn land<'a, K: Kernel, A: Pause>(
     kernel: K,
     flying: &mut [Flying<'a, K, A::Collector<'a>>; RAYS],
     those: &[u8],
@@ -262,7 +259,7 @@ struct Waiting<'w> {
 /// Takes up to sixteen rays from the ground, the last ones of `ground`; how many.
 #[inline(always)]
 #[expect(clippy::too_many_arguments, reason = "the state of a batch")]
-fn launch<'a, K: Kernel, A: Ask>(
+fn launch<'a, K: Kernel, A: Pause>(
     kernel: K,
     ask: &A,
     waiting: &mut Waiting<'_>,
@@ -283,7 +280,7 @@ fn launch<'a, K: Kernel, A: Ask>(
         let (i, ray) = (ground[ground.len() - 1 - launched], &waiting.rays[place]);
         let aloft = &mut flying[usize::from(i) % RAYS];
         if !aloft.setup.aim(kernel, ray, file.scene) {
-            answers[place] = A::NOTHING;
+            answers[place] = A::Answer::NOTHING;
             continue;
         }
         (aloft.ray, aloft.place) = (*ray, place);
@@ -293,7 +290,7 @@ fn launch<'a, K: Kernel, A: Ask>(
         counters.nodes += 1;
         counters.bricks += u64::from(start.view.page.is_some());
         if left == 0 {
-            answers[place] = A::NOTHING;
+            answers[place] = A::Answer::NOTHING;
             continue;
         }
         let [end, root, ..] = &mut stacks[usize::from(i) % RAYS].levels;

@@ -6,8 +6,9 @@ use crate::map::Halt;
 use crate::trace::Counters;
 use crate::trace::arch::Kernel;
 use crate::trace::collect::{Collector, Next};
+use crate::trace::settle::{range, take};
 use crate::trace::setup::Setup;
-use crate::trace::walk::{BRICK, EMPTY, File, Level, TOP, cell_of, range, take};
+use crate::trace::walk::{BRICK, EMPTY, File, Level, TOP, cell_of};
 
 /// What a ray needs next.
 #[derive(Clone, Copy, PartialEq, Eq)]

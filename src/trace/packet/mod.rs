@@ -15,12 +15,13 @@
 
 mod assemble;
 mod leaf;
+mod together;
 
 use bytemuck::Zeroable;
 use glam::Vec3;
 
 use super::arch::{Block, Kernel, Rounded, Row, WIDE, Way};
-use super::ask::Ask;
+use super::ask::{Answer, Ask};
 use super::walk::{BRICK, EMPTY, File, INNER, LEVELS, Start};
 use super::{Counters, Found};
 use crate::exact::Depths;
@@ -299,7 +300,7 @@ fn conclude<K: Kernel, A: Ask>(kernel: K, group: &Group, done: u32, answers: &mu
             continue;
         }
         if hit >> i & 1 == 0 {
-            *answer = A::NOTHING;
+            *answer = A::Answer::NOTHING;
             continue;
         }
         // A page that turned to zeros has no faces.
@@ -311,7 +312,7 @@ fn conclude<K: Kernel, A: Ask>(kernel: K, group: &Group, done: u32, answers: &mu
         let hit = Hit { t: rounded.t.0[i], face, u: rounded.u.0[i], v: rounded.v.0[i] };
         let corner = |rows: &[Row; 3]| Vec3::new(rows[0].0[i], rows[1].0[i], rows[2].0[i]);
         let triangle = Triangle { a: corner(&block.a), b: corner(&block.b), c: corner(&block.c) };
-        *answer = A::answer(Found { hit, triangle, page: PageId(group.page[i]), reference: group.reference[i] });
+        *answer = A::Answer::of(Found { hit, triangle, page: PageId(group.page[i]), reference: group.reference[i] });
     }
     alone
 }

@@ -62,7 +62,7 @@ pub fn run(mesh: &Mesh, name: &Path, rays: u64, seed: u64, monitor: Monitor<'_>)
     let tracer = OctreeTracer::new(octree(mesh, &super::lossless())?);
     let origins = Origins { ball: mesh.ball(), inside: points_inside(mesh, seed) };
     if origins.inside.is_empty() {
-        return Err(wrong("no point inside was found".to_owned()));
+        return Err(wrong("no point inside was found: it is too thin; name another mesh".to_owned()));
     }
     monitor.phase("closed");
     let started = std::time::Instant::now();
@@ -71,7 +71,7 @@ pub fn run(mesh: &Mesh, name: &Path, rays: u64, seed: u64, monitor: Monitor<'_>)
         .into_par_iter()
         .map(|task| {
             let count = TASK.min(rays - task * TASK);
-            let mut maker = maker(mesh, seed ^ (task + 1) << 20);
+            let mut maker = Maker::on(mesh, Random::new(seed ^ (task + 1) << 20), 0);
             let mut report = ClosedReport::default();
             for k in 0..count {
                 one(&tracer, &mut maker, mesh, &origins, k, &mut report)?;
@@ -82,18 +82,6 @@ pub fn run(mesh: &Mesh, name: &Path, rays: u64, seed: u64, monitor: Monitor<'_>)
         .try_reduce(ClosedReport::default, |a, b| Ok(a.add(b)))?;
     let (triangles, seconds) = (mesh.faces.len() as u64, started.elapsed().as_secs_f64());
     Ok(ClosedReport { schema: 1, triangles, edges, seconds, ..report })
-}
-
-fn maker(mesh: &Mesh, seed: u64) -> Maker<'_> {
-    Maker {
-        random: Random::new(seed),
-        rays: 0,
-        size: mesh.faces.len(),
-        round: 0,
-        model: Some(mesh),
-        ball: None,
-        turn: 0,
-    }
 }
 
 /// Where rays start.
@@ -169,7 +157,8 @@ fn edges_of_closed(mesh: &Mesh) -> std::result::Result<u64, String> {
     match open + uneven {
         0 => Ok(edges.len() as u64),
         _ => Err(format!(
-            "not a closed manifold: of {} edges {open} lie on one face, {uneven} on more than two or on two that disagree",
+            "not a closed manifold, and only such a mesh can be tested so: of {} edges {open} lie on one face, {uneven} on more than two or \
+             on two that disagree; name another mesh, or mend this one",
             edges.len()
         )),
     }

@@ -121,15 +121,8 @@ fn given(rays: u64, seed: u64, mesh: &Mesh, families: &[Family], monitor: Monito
     let mut tasks = Vec::new();
     for place in aiming {
         let family = &families[place];
-        let case = (family.make)(&mut Maker {
-            random: Random::new(seed ^ u64::from(family.number) << 32 ^ 1 << 60),
-            rays: each as usize,
-            size: mesh.faces.len(),
-            round: 0,
-            model: Some(mesh),
-            ball: None,
-            turn: 0,
-        });
+        let random = Random::new(seed ^ u64::from(family.number) << 32 ^ 1 << 60);
+        let case = (family.make)(&mut Maker::on(mesh, random, each as usize));
         tasks
             .extend(case.probes.chunks(PER_TASK).map(|probes| Task::Given(place, Arc::clone(&bench), probes.to_vec())));
     }
@@ -198,15 +191,8 @@ fn work(
 /// One round of a family: its mesh, its file or files, its rays.
 fn run_round(plan: &Plan, family: &Family, round: &Round, monitor: Monitor<'_>) -> Result<FamilyReport> {
     let started = Instant::now();
-    let mut maker = Maker {
-        random: Random::new(plan.seed ^ u64::from(family.number) << 32 ^ round.number as u64),
-        rays: round.rays,
-        size: round.size,
-        round: round.number / 2,
-        model: None,
-        ball: None,
-        turn: 0,
-    };
+    let random = Random::new(plan.seed ^ u64::from(family.number) << 32 ^ round.number as u64);
+    let mut maker = Maker { round: round.number / 2, ..Maker::new(random, round.rays, round.size) };
     let case = (family.make)(&mut maker);
     let options = rounds::build_options(round.number, &case.layout, case.mesh.faces.len());
     let made = started.elapsed().as_secs_f64();

@@ -127,7 +127,7 @@ pub fn to_text(title: &str, case: &Case, options: &[BuildOptions]) -> String {
 
 /// Reads a case.
 pub fn read(path: &Path) -> Result<Replay> {
-    let text = std::fs::read_to_string(path).map_err(Error::io(path, "read"))?;
+    let text = std::fs::read_to_string(path).map_err(Error::io(path, "open"))?;
     let mut replay = Replay::default();
     for (number, line) in text.lines().enumerate() {
         let words: Vec<&str> = line.split_whitespace().collect();

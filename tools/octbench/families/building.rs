@@ -1,6 +1,6 @@
 //! Families 24 to 32: what the builder must survive.
 
-use super::{Case, Family, Layout, Maker, Probe, mesh, ray, toward};
+use super::{Case, Family, Layout, Maker, Probe, aimed, mesh, ray, toward};
 use crate::families::mesh::Mesh;
 
 pub const FAMILIES: &[Family] = &[
@@ -171,18 +171,12 @@ fn nearer_elsewhere(m: &mut Maker<'_>) -> Case {
         [[-1.0, y, z], [1.0, y + slant, z + slant], [1.0, y + slant + 0.05, z + slant]]
     }));
     let mesh = m.place(mesh);
-    m.case(mesh, |m, mesh| {
-        let o = m.origin(mesh);
-        ray(o, toward(o, m.target(mesh)))
-    })
+    m.case(mesh, aimed)
 }
 
 fn every_layout(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
-    let mut case = m.case(mesh, |m, mesh| {
-        let o = m.origin(mesh);
-        ray(o, toward(o, m.target(mesh)))
-    });
+    let mut case = m.case(mesh, aimed);
     // Pages of one triangle are for small meshes: each is a file of its own to the builder.
     let least = if m.size < 500 { 1 } else { 64 };
     case.layout = Layout { brick: Some(m.random.pick(&[least, 7.max(least), 64, 4096])), ways: 3, ..Layout::default() };

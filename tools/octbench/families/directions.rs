@@ -1,6 +1,6 @@
 //! Families 10 to 14: directions.
 
-use super::{Case, Family, Maker, mesh, ray, toward};
+use super::{Case, Family, Maker, aimed, mesh, ray, toward};
 
 pub const FAMILIES: &[Family] = &[
     Family { number: 10, name: "zero components, both signs of zero", make: zeros },
@@ -84,8 +84,7 @@ fn diagonals(m: &mut Maker<'_>) -> Case {
 fn invalid(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
     m.case(mesh, |m, mesh| {
-        let o = m.origin(mesh);
-        let mut r = ray(o, toward(o, m.target(mesh)));
+        let mut r = aimed(m, mesh);
         let odd = m.random.pick(&[f32::NAN, f32::INFINITY, f32::NEG_INFINITY]);
         let axis = m.random.below(3);
         match m.random.below(6) {

@@ -1,6 +1,6 @@
 //! Families 1 to 9: edges and vertices.
 
-use super::{Case, Family, Maker, Probe, mesh, ray, toward};
+use super::{Case, Family, Maker, Probe, aimed, mesh, ray, toward};
 use crate::families::mesh::Mesh;
 
 pub const FAMILIES: &[Family] = &[
@@ -195,8 +195,5 @@ fn rotated(m: &mut Maker<'_>) -> Case {
             f.swap(0, 1);
         }
     }
-    m.case(mesh, |m, mesh| {
-        let o = m.origin(mesh);
-        ray(o, toward(o, m.target(mesh)))
-    })
+    m.case(mesh, aimed)
 }

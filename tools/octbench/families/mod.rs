@@ -134,6 +134,12 @@ pub fn toward(o: [f32; 3], p: [f32; 3]) -> [f32; 3] {
     std::array::from_fn(|i| p[i] - o[i])
 }
 
+/// A ray from about a mesh to a point of it.
+fn aimed(m: &mut Maker<'_>, mesh: &Mesh) -> OracleRay {
+    let o = m.origin(mesh);
+    ray(o, toward(o, m.target(mesh)))
+}
+
 impl Probe {
     /// The closest hit of a ray.
     pub fn closest(ray: OracleRay) -> Probe {
@@ -149,7 +155,17 @@ impl Probe {
 /// Scales at which a mesh is placed: from 1e-30 to 1e30, mostly ordinary.
 const SCALES: [f32; 9] = [1.0, 1.0, 1.0, 1e-3, 1e3, 1e-15, 1e15, 1e-30, 1e30];
 
-impl Maker<'_> {
+impl<'a> Maker<'a> {
+    /// For meshes of the family's own, in its first round.
+    pub fn new(random: Random, rays: usize, size: usize) -> Maker<'a> {
+        Maker { random, rays, size, round: 0, model: None, ball: None, turn: 0 }
+    }
+
+    /// For a given mesh to aim at.
+    pub fn on(mesh: &'a Mesh, random: Random, rays: usize) -> Maker<'a> {
+        Maker { model: Some(mesh), ..Maker::new(random, rays, mesh.faces.len()) }
+    }
+
     /// A closed mesh of about the wanted size, at some scale and offset.
     pub fn closed_mesh(&mut self) -> Mesh {
         if let Some(model) = self.model {

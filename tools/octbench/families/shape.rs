@@ -1,6 +1,6 @@
 //! Families 33 to 39: shape and scale of triangles.
 
-use super::{Case, Family, Maker, mesh, ray, toward};
+use super::{Case, Family, Maker, aimed, mesh, ray, toward};
 use crate::families::mesh::Mesh;
 use crate::oracle::OracleRay;
 
@@ -199,10 +199,7 @@ fn extreme(m: &mut Maker<'_>) -> Case {
     } else {
         mesh = mesh.placed(scale, [(offset * scale).min(1e38), 0.0, 0.0]);
     }
-    m.case(mesh, |m, mesh| {
-        let o = m.origin(mesh);
-        ray(o, toward(o, m.target(mesh)))
-    })
+    m.case(mesh, aimed)
 }
 
 fn sheets(m: &mut Maker<'_>) -> Case {
@@ -235,8 +232,5 @@ fn coincident(m: &mut Maker<'_>) -> Case {
         let f = mesh.faces[i];
         mesh.faces.push([f[2], f[1], f[0]]);
     }
-    m.case(mesh, |m, mesh| {
-        let o = m.origin(mesh);
-        ray(o, toward(o, m.target(mesh)))
-    })
+    m.case(mesh, aimed)
 }

@@ -1,6 +1,6 @@
 //! Families 49 to 53: regressions of others, and files in many pages.
 
-use super::{Case, Family, Layout, Maker, mesh, ray, toward};
+use super::{Case, Family, Layout, Maker, aimed, mesh, ray, toward};
 use crate::families::mesh::Mesh;
 
 pub const FAMILIES: &[Family] = &[
@@ -67,10 +67,7 @@ fn cylinders(m: &mut Maker<'_>) -> Case {
 
 fn pages(m: &mut Maker<'_>) -> Case {
     let mesh = m.any_mesh();
-    let mut case = m.case(mesh, |m, mesh| {
-        let o = m.origin(mesh);
-        ray(o, toward(o, m.target(mesh)))
-    });
+    let mut case = m.case(mesh, aimed);
     case.layout = Layout { brick: Some(m.random.pick(&[16, 100])), ..Layout::default() };
     case
 }
@@ -80,10 +77,7 @@ fn stored_twice(m: &mut Maker<'_>) -> Case {
     let mut mesh = mesh::field(n, 0.3, &mut m.random);
     mesh.append(&mesh::soup(20, 1.0, &mut m.random));
     let mesh = m.place(mesh);
-    let mut case = m.case(mesh, |m, mesh| {
-        let o = m.origin(mesh);
-        ray(o, toward(o, m.target(mesh)))
-    });
+    let mut case = m.case(mesh, aimed);
     case.probes.iter_mut().for_each(|p| p.ask = super::Ask::All);
     case.layout = Layout { brick: Some(32), ..Layout::default() };
     case

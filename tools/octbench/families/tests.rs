@@ -5,8 +5,7 @@ use crate::oracle::{Oracle, TierCounts, closest_rational};
 
 fn case(family: &Family, size: usize, rays: usize) -> Case {
     let random = Random::new(u64::from(family.number) << 32 | size as u64);
-    let mut maker = Maker { random, rays, size, round: 0, model: None, ball: None, turn: 0 };
-    (family.make)(&mut maker)
+    (family.make)(&mut Maker::new(random, rays, size))
 }
 
 #[test]

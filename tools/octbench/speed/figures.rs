@@ -116,7 +116,7 @@ fn table(runs: &[Run], names: &[String]) -> String {
             true => String::new(),
             false => format!(", exactness costs {:.1} %", 100.0 * (1.0 - 1.0 / geometric_mean(&slowdowns))),
         };
-        format!("({ratios}){cost}")
+        if peers.is_empty() { cost.trim_start_matches(", ").to_owned() } else { format!("({ratios}){cost}") }
     };
     let means: Vec<String> = peers.iter().map(|_| String::new()).chain(ways.iter().map(mean)).collect();
     let _ = writeln!(text, "| **geometric mean** | {} |", means.join(" | "));

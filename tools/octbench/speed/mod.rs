@@ -92,6 +92,7 @@ pub struct Options {
 
 /// Measures and reports. Exit code 1: exact kernels differ in their answers.
 pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
+    options.stats.check()?;
     let monitor = session.monitor();
     if options.clock == Clock::Cpu && options.threads != [1] {
         return Err(Error::Option("--clock cpu measures one thread; leave --threads out".to_owned()));

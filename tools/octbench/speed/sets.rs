@@ -67,7 +67,7 @@ impl RaySet {
         let rays = crate::bench::records::<Ray>(path)?;
         let wrong = |what: &str| Error::Input { file: path.to_owned(), what: what.to_owned() };
         if rays.is_empty() {
-            return Err(wrong("no rays in it"));
+            return Err(wrong("no rays in it; name another file"));
         }
         let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let file = Some(path.canonicalize().map_err(Error::io(path, "open"))?);

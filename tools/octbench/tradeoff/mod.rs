@@ -27,7 +27,7 @@ use rayon::prelude::*;
 
 use crate::bench::{load, octree, records};
 use crate::cli::args::{StatsFile, is_stdio};
-use crate::cli::output::{Whole, print, write_whole};
+use crate::cli::output::{Whole, check, print, write_whole};
 use crate::cli::{CHECK_FAILED, Session};
 use crate::families::mesh::Mesh;
 use crate::machine::Machine;
@@ -116,6 +116,8 @@ struct Subject {
 
 /// Runs the comparison. Exit code 1: a tracer that claims to be exact is not.
 pub fn run(options: &Options, session: &Session<'_>) -> Result<ExitCode> {
+    options.stats.check()?;
+    options.output.as_deref().map_or(Ok(()), |name| check(&name.with_extension("svg")))?;
     let monitor = session.monitor();
     let folder = tempfile::tempdir().map_err(Error::io(std::env::temp_dir(), "create"))?;
     let one = rayon::ThreadPoolBuilder::new()
@@ -205,7 +207,7 @@ fn sets(options: &Options, mesh: &Mesh) -> Result<Vec<(String, Vec<Ray>)>> {
     if let Some(path) = &options.rays_file {
         let rays = records::<Ray>(path)?;
         if rays.is_empty() {
-            return Err(Error::Input { file: path.clone(), what: "no rays in it".to_owned() });
+            return Err(Error::Input { file: path.clone(), what: "no rays in it; name another file".to_owned() });
         }
         return Ok(vec![(path.file_stem().unwrap_or_default().to_string_lossy().into_owned(), rays)]);
     }

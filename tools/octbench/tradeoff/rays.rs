@@ -10,7 +10,7 @@ use crate::speed::view::View;
 /// Rays from within, around and far from the mesh at its vertices and at points of its edges, in turn.
 pub fn aimed(mesh: &Mesh, count: u64, seed: u64) -> Vec<Ray> {
     let random = Random::new(seed);
-    let mut maker = Maker { random, rays: 0, size: mesh.faces.len(), round: 0, model: Some(mesh), ball: None, turn: 0 };
+    let mut maker = Maker::on(mesh, random, 0);
     (0..count)
         .map(|i| {
             let o = maker.origin(mesh);

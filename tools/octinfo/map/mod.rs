@@ -20,7 +20,10 @@ pub fn check(model: &Path, path: &Path) -> Result<()> {
     }
     cli::output::check(path)?;
     if cli::output::same_place(path, model) {
-        return Err(Error::Option(format!("{}: --map would write over the octree file", path.display())));
+        return Err(Error::Option(format!(
+            "{}: --map would write over the octree file; name another file",
+            path.display()
+        )));
     }
     Ok(())
 }

@@ -10,13 +10,13 @@ use octrace::trace::{Counters, Found, OctreeTracer, Tracer};
 use pyo3::prelude::*;
 use rayon::prelude::*;
 
-use crate::arrays::{Arguments, Rays};
+use crate::arrays::{Arguments, Rays, unwritten};
 use crate::errors::raise;
 use crate::size::Size;
 use crate::threads::pool;
 
-/// Rays that are put together and traced at a time: they and their hits stay in a core's cache.
-const PIECE: usize = 1 << 13;
+/// Rays that are put together and traced at a time: as many as a tracer gives to a thread, and they and their hits stay in its cache.
+const PIECE: usize = 1 << 10;
 /// Rays between two looks at whether the user wants to stop.
 const STRETCH: usize = 1 << 20;
 /// Rays at a time, fewest and most, where rays wait for pages.
@@ -80,8 +80,8 @@ impl Octree {
     ) -> PyResult<Columns<'py>> {
         let arguments = Arguments::new(origins, directions, tmin, tmax)?;
         let rays = arguments.rays()?;
-        let float = || PyArray1::<f32>::zeros(py, rays.len(), false);
-        let (t, face, u, v) = (float(), PyArray1::<u32>::zeros(py, rays.len(), false), float(), float());
+        let n = rays.len();
+        let (t, face, u, v) = (unwritten(py, n)?, unwritten(py, n)?, unwritten(py, n)?, unwritten(py, n)?);
         {
             let (mut t, mut face, mut u, mut v) = (t.readwrite(), face.readwrite(), u.readwrite(), v.readwrite());
             let (t, face) = (t.as_slice_mut()?.chunks_mut(self.stretch), face.as_slice_mut()?.chunks_mut(self.stretch));
@@ -227,8 +227,8 @@ impl Octree {
                 rays.gather(first + number * piece, t.len(), some);
                 hits.resize(t.len(), Hit::MISS);
                 self.tracer.closest_batch(some, hits)?;
-                for (i, hit) in hits.iter().enumerate() {
-                    (t[i], face[i], u[i], v[i]) = (hit.t, hit.face.0, hit.u, hit.v);
+                for (hit, (((t, face), u), v)) in hits.iter().zip(t.iter_mut().zip(face).zip(u).zip(v)) {
+                    (*t, *face, *u, *v) = (hit.t, hit.face.0, hit.u, hit.v);
                 }
                 Ok(())
             },

@@ -15,8 +15,9 @@ import octrace.trimesh_ray
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch, bunny_obj):
-    """A folder with nothing in it but the bunny."""
+    """A folder with nothing in it but the bunny, and a mesh of the name that the README has made before."""
     shutil.copy(bunny_obj, tmp_path)
+    shutil.copy(bunny_obj, tmp_path / "planet.obj")
     monkeypatch.chdir(tmp_path)
     return tmp_path
 

@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 
 use super::super::{Rough, scalar};
-use super::{corner_index, edge, pick, sheared};
+use super::leaf::{bytes, edge, nibbles, pick};
 use crate::exact::Shear;
 use crate::format::{Coding, Leaf};
 
@@ -16,26 +16,16 @@ pub(super) unsafe fn nearest(leaf: &Leaf<'_>, shear: &Shear, range: [f32; 2]) ->
     if leaf.is_empty() || leaf.bytes().len() < leaf.reach(16) {
         return scalar::rough::nearest(leaf, shear, range);
     }
-    // SAFETY: the caller vouches for the instructions; all loads end before the reach, which lies within the leaf's bytes; the corner
-    // numbers lie in bytes 8..32 or 16..64 of the record.
+    // SAFETY: the caller vouches for the instructions; all loads end before the reach, which lies within the leaf's bytes.
     unsafe {
-        let numbers = leaf.bytes().as_ptr();
         match leaf.coding() {
             Coding::Nibbles => {
-                let table = sheared(leaf, shear, 0);
-                let head = _mm512_broadcast_i64x4(_mm256_loadu_si256(numbers.cast()));
-                let index = [corner_index(head, 0), corner_index(head, 1), corner_index(head, 2)];
-                nearest_of::<false>(index, [table, table], shear, leaf.len(), range)
+                let (index, table) = nibbles(leaf, shear);
+                nearest_of::<false>(index, table, shear, leaf.len(), range)
             }
             Coding::Bytes => {
-                let first = sheared(leaf, shear, 0);
-                let second = if leaf.vertices() > 16 { sheared(leaf, shear, 16) } else { first };
-                let index = [
-                    _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(16).cast())),
-                    _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(32).cast())),
-                    _mm512_cvtepu8_epi32(_mm_loadu_si128(numbers.add(48).cast())),
-                ];
-                nearest_of::<true>(index, [first, second], shear, leaf.len(), range)
+                let (index, table) = bytes(leaf, shear);
+                nearest_of::<true>(index, table, shear, leaf.len(), range)
             }
         }
     }
