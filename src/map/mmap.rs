@@ -287,8 +287,9 @@ mod tests {
         std::hint::black_box(map[5000]);
     }
 
+    // Miri maps no files.
     #[test]
-    #[cfg_attr(miri, ignore = "Miri maps no files")]
+    #[cfg_attr(miri, ignore)]
     fn faults_elsewhere_still_end_the_process() {
         if std::env::var_os(ROLE).is_some() {
             return fault_elsewhere();
@@ -299,8 +300,9 @@ mod tests {
         assert_eq!(status.signal(), Some(libc::SIGBUS), "{status}");
     }
 
+    // Miri maps no files.
     #[test]
-    #[cfg_attr(miri, ignore = "Miri maps no files")]
+    #[cfg_attr(miri, ignore)]
     fn entries_are_used_again_and_faults_stay_apart() {
         let file = |bytes| {
             let file = tempfile::tempfile().unwrap();
