@@ -2,6 +2,8 @@
 //! which order, and how much of the file may be in memory meanwhile.
 #![no_main]
 
+// Of what they share only the folder.
+#[allow(dead_code)]
 mod common;
 
 use std::path::PathBuf;
