@@ -191,7 +191,8 @@ pub(super) fn write(blocks: &[Block], large: &[LargeFace], spool: &mut Spool<'_>
     Ok(())
 }
 
-/// Reads back what [`write`] wrote; `None` if the spool does not hold so many blocks and large faces.
+/// Reads back what [`write`] wrote; `None` if the spool does not hold so many blocks and large faces. Takes less than twice the bytes
+/// of the spool and some.
 pub(super) fn read(spool: &Spool<'_>, blocks: usize, large: usize) -> Option<(Vec<Block>, Vec<LargeFace>)> {
     let mut words = Reader { spool, at: 0, words: Vec::new(), used: 0 };
     let block = |words: &mut Reader<'_, '_>| {
@@ -199,7 +200,8 @@ pub(super) fn read(spool: &Spool<'_>, blocks: usize, large: usize) -> Option<(Ve
         let lengths = words.array()?;
         let mut list = || match words.next()? {
             MANY => words.next().map(Touched::Many),
-            len => (0..len).map(|_| words.next()).collect::<Option<_>>().map(Touched::Few),
+            len if len as usize <= FEW => (0..len).map(|_| words.next()).collect::<Option<_>>().map(Touched::Few),
+            _ => None,
         };
         let touched = [list()?, list()?, list()?];
         Some(Block { at: u64::from(high) << 32 | u64::from(low), first_id, lengths, touched })
@@ -260,6 +262,11 @@ mod tests {
         write(&blocks, &large, &mut spool).unwrap();
         assert!(read(&spool, blocks.len(), large.len()) == Some((blocks.clone(), large.clone())));
         assert!(read(&spool, blocks.len(), large.len() + 1).is_none());
+        // A list that is longer than any that is written.
+        let mut spool = Spool::new(&work, "longer", 0);
+        let words: Vec<u32> = [0; 8].into_iter().chain([FEW as u32 + 1]).chain([0; FEW + 3]).collect();
+        spool.append(&words).unwrap();
+        assert!(read(&spool, 1, 0).is_none());
     }
 
     #[test]

@@ -243,6 +243,12 @@ impl Tuning {
         self.chunk_bytes + self.wave_bytes + self.wave_bytes / 2
     }
 
+    /// Whether the index of faces that a killed build left fits, so many words of it: it is held, in twice as many bytes and some, where
+    /// a source's reader would take its share.
+    pub fn holds_index(&self, words: u64) -> bool {
+        words.saturating_mul(10) <= 2 * self.top_bytes
+    }
+
     /// Fails if the directory of so many pages does not fit.
     pub fn check_pages(&self, pages: u64) -> Result<()> {
         if pages.saturating_mul(PAGE_BYTES) <= self.top_bytes {

@@ -86,7 +86,7 @@ pub(super) fn taken_up<'w>(
 ) -> Result<Scan<'w>, Unfit> {
     // What remains of memory, and so the size of blocks, is not quite the same in each run. This one has no reader that takes any.
     let fits = state.counts.block_corners <= tuning.block_corners + tuning.block_corners / 8;
-    if !fits || state.materials.len() > tuning.noted_materials {
+    if !fits || state.materials.len() > tuning.noted_materials || !tuning.holds_index(state.words[4]) {
         return Err(Unfit::Other);
     }
     let lies = |sound: bool, name: &str| if sound { Ok(()) } else { Err(Unfit::lies(work, name)) };

@@ -4,7 +4,7 @@
 //! follows from how large leaves will be: those of a surface of T triangles, some 9 in each, are about 6 / sqrt(T) of the mesh wide.
 
 use crate::format::Points;
-use crate::geometry::{Aabb, exp2};
+use crate::geometry::{Aabb, exp2, log2_floor};
 
 /// Which positions are stored.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -48,9 +48,9 @@ impl Snap {
                 let extent = (bounds.max.as_dvec3() - bounds.min.as_dvec3()).max_element();
                 let farthest = bounds.max.abs().max(bounds.min.abs()).max_element();
                 let steps = (STEPS + triangles.max(1).ilog2() / 2).clamp(LEAST_STEPS, MOST_STEPS);
-                let fine = (extent.log2().floor() as i32).saturating_sub(steps as i32);
+                let fine = log2_floor(extent) - steps as i32;
                 // Numbers of 24 bits, as f32 has; what lies far from zero has no finer digits anyway.
-                let least = (f64::from(farthest).log2().floor() as i32).saturating_sub(23);
+                let least = log2_floor(farthest.into()) - 23;
                 (extent > 0.0 && extent.is_finite()).then(|| Snap { step: exp2(fine.max(least)) })
             }
         }
@@ -96,6 +96,14 @@ mod tests {
         let steps = [12, 70_000, 1 << 18, 1_000_000, 10_000_000, u64::MAX].map(|n| log2_step(n, 0.0));
         assert_eq!(steps, [-19.0, -20.0, -21.0, -21.0, -23.0, -23.0]);
         assert_eq!([1.0, 7.0, 4096.0].map(|offset| log2_step(10_000_000, offset)), [-22.0, -20.0, -11.0]);
+    }
+
+    #[test]
+    fn an_extent_just_below_a_power_of_two_is_below_it() {
+        // 2^20 - 2^-33 is an f64, whose logarithm is rounded to 20.
+        let bounds =
+            Aabb { min: Vec3::new(2f32.powi(-33), 0.0, 0.0), max: Vec3::splat(2f32.powi(20)).with_y(0.0).with_z(0.0) };
+        assert_eq!(Snap::new(Positions::Grid(None), bounds, 1).unwrap().step, 1.0);
     }
 
     #[test]

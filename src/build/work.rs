@@ -10,6 +10,7 @@ use std::path::{Path, PathBuf};
 use xxhash_rust::xxh3::xxh3_64;
 
 use crate::error::{Error, Result, folder_of};
+use crate::format::is_single;
 
 /// A folder for temporary files, removed with all that is in it when the value goes. Only a process that is killed leaves it.
 pub(super) struct WorkFolder {
@@ -77,10 +78,10 @@ impl WorkFolder {
         options.read(true).write(true).create_new(true).open(&path).map_err(Error::io(&path, "create"))
     }
 
-    /// A file that an earlier build left; a link, a pipe or a folder is none.
+    /// A file that an earlier build left; a link, one of several names, a pipe or a folder is none.
     pub fn reopen(&self, name: &str) -> Result<File> {
         let path = self.path.join(name);
-        let is_file = fs::symlink_metadata(&path).map(|data| data.is_file());
+        let is_file = fs::symlink_metadata(&path).map(|data| data.is_file() && is_single(&data));
         let file = match is_file {
             Ok(true) => OpenOptions::new().read(true).write(true).open(&path),
             Ok(false) => Err(std::io::ErrorKind::InvalidInput.into()),
@@ -158,6 +159,20 @@ mod tests {
         again.clear().unwrap();
         again.clear().unwrap();
         assert_eq!(entries(), 0);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_of_two_names_is_none_that_was_left() {
+        let temp = tempfile::tempdir().unwrap();
+        let work = WorkFolder::new(temp.path(), Path::new("out/a.oct"), true).unwrap();
+        work.create("pages").unwrap();
+        work.reopen("pages").unwrap();
+        let other = temp.path().join("other");
+        fs::hard_link(work.path().join("pages"), &other).unwrap();
+        assert!(work.reopen("pages").is_err());
+        fs::remove_file(other).unwrap();
+        work.reopen("pages").unwrap();
     }
 
     #[test]

@@ -32,6 +32,7 @@ pub use material::MaterialRecord;
 pub use node::{DEPTH_MAX, Frame, Node, Slot};
 pub use pack::{pack, unpack_into};
 pub use page::{Brick, LEAF_PADDING, PAGE_HEADER_BYTES, PageHeader, PageId, PageRecord, SideArrays};
+pub(crate) use part::is_single;
 pub use surrogate::{Moments, Patch, RootBox, Surrogate, cosine_of_sum};
 pub use validate::validate_page;
 pub(crate) use validate_top::string_at;

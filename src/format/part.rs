@@ -61,12 +61,24 @@ fn open_locked(path: &Path) -> io::Result<Option<File>> {
         if file.try_lock().is_err() {
             return Ok(None);
         }
-        // A link would lead to somebody else's file; a pipe or a device is none.
-        if is_at(&file, path) && file.metadata()?.is_file() {
+        // A link would lead to somebody else's file, and so may a file of several names; a pipe or a device is none.
+        let data = file.metadata()?;
+        if is_at(&file, path) && data.is_file() && is_single(&data) {
             return Ok(Some(file));
         }
     }
     Ok(None)
+}
+
+/// Whether a file has one name only, where the system tells.
+#[cfg(unix)]
+pub(crate) fn is_single(data: &fs::Metadata) -> bool {
+    std::os::unix::fs::MetadataExt::nlink(data) == 1
+}
+
+#[cfg(not(unix))]
+pub(crate) fn is_single(_: &fs::Metadata) -> bool {
+    true
 }
 
 /// Whether an open file is the one of that name.
@@ -107,6 +119,18 @@ mod tests {
         drop(second);
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
         assert_eq!(fs::read(&target).unwrap(), b"1");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_file_that_has_another_name_is_not_written_to() {
+        let folder = tempfile::tempdir().unwrap();
+        let other = folder.path().join("other");
+        fs::write(&other, b"mine").unwrap();
+        fs::hard_link(&other, folder.path().join(".a.oct.part")).unwrap();
+        let part = Part::open(&folder.path().join("a.oct")).unwrap();
+        assert!(!part.is_first && part.file.metadata().unwrap().len() == 0);
+        assert_eq!(fs::read(&other).unwrap(), b"mine");
     }
 
     #[test]

@@ -98,12 +98,12 @@ impl OctWriter {
 
     /// Goes on after the pages of `records`, which an earlier writer has written and [`OctWriter::flush`]ed. False, and
     /// nothing is changed, if its file is not there, has another `mark`, is too short, or holds a page with another checksum or that
-    /// `is_sound`, given its number and its bytes as stored, does not take. All pages are read, one at a time.
+    /// `is_sound`, given its number and its bytes as stored, does not take. All pages are read, one at a time; an error of `is_sound` ends that.
     pub fn resume(
         &mut self,
         records: Vec<PageRecord>,
         mark: u64,
-        is_sound: &mut dyn FnMut(usize, &[u8]) -> bool,
+        is_sound: &mut dyn FnMut(usize, &[u8]) -> Result<bool>,
     ) -> Result<bool> {
         let mut end = HEADER_BYTES as u64;
         let head = [&[0; 8][..], &mark.to_le_bytes(), &[0; HEADER_BYTES - 16]].concat();
@@ -116,7 +116,7 @@ impl OctWriter {
             let (Some(stop), Some(gap)) = (stop.filter(|&stop| stop <= self.left()), gap) else { return Ok(false) };
             let gap = self.read_back(end, gap as usize)?;
             let page = self.read_back(record.offset, record.stored_bytes as usize)?;
-            if gap.iter().any(|&byte| byte != 0) || checksum(&page) != record.checksum || !is_sound(i, &page) {
+            if gap.iter().any(|&byte| byte != 0) || checksum(&page) != record.checksum || !is_sound(i, &page)? {
                 return Ok(false);
             }
             end = stop;
@@ -314,14 +314,16 @@ mod tests {
         drop(writer);
         fs::write(&part, [&left[..], b"and half of a page"].concat()).unwrap();
         let mut writer = OctWriter::open(&path).unwrap();
-        let all = &mut |_: usize, _: &[u8]| true;
+        let all = &mut |_: usize, _: &[u8]| Ok(true);
         let far = PageRecord { offset: 1 << 20, ..records[0] };
         let rotten = PageRecord { checksum: 7, ..records[1] };
         assert!(!writer.resume(vec![far], 77, all).unwrap());
         assert!(!writer.resume(vec![records[0], rotten], 77, all).unwrap());
         assert!(!writer.resume(records.clone(), 78, all).unwrap(), "what another writer left");
-        assert!(!writer.resume(records.clone(), 77, &mut |i, _| i == 0).unwrap(), "the second is not sound");
-        assert!(writer.resume(records, 77, &mut |i, stored| stored == page(i as u32)).unwrap());
+        assert!(!writer.resume(records.clone(), 77, &mut |i, _| Ok(i == 0)).unwrap(), "the second is not sound");
+        let stop = &mut |i: usize, _: &[u8]| if i == 0 { Ok(true) } else { Err(Error::Interrupted) };
+        assert!(matches!(writer.resume(records.clone(), 77, stop), Err(Error::Interrupted)));
+        assert!(writer.resume(records, 77, &mut |i, stored| Ok(stored == page(i as u32))).unwrap());
         writer.append(&page(2)).unwrap();
         finish(writer, &mut [brick(); 3]).unwrap();
         assert!(fs::read(&path).unwrap() == whole);

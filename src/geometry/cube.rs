@@ -57,6 +57,12 @@ pub(crate) fn exp2(k: i32) -> f64 {
     f64::from_bits(((k + 1023) as u64) << 52)
 }
 
+/// floor(log2(x)) of a normal, positive f64 (every positive f32 is one); -1023 of zero.
+#[inline(always)]
+pub(crate) fn log2_floor(x: f64) -> i32 {
+    (x.to_bits() >> 52) as i32 - 1023
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -8,6 +8,6 @@ mod triangle;
 
 pub use aabb::Aabb;
 pub use cube::RootCube;
-pub(crate) use cube::exp2;
+pub(crate) use cube::{exp2, log2_floor};
 pub use ray::{FaceId, Hit, Ray, Skip};
 pub use triangle::Triangle;

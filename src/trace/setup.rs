@@ -39,7 +39,7 @@ use bytemuck::Zeroable;
 use super::arch::{Aim, Fit, Kernel, Way};
 use crate::exact::Expansion;
 use crate::format::Frame;
-use crate::geometry::{Aabb, Ray, RootCube, exp2};
+use crate::geometry::{Aabb, Ray, RootCube, exp2, log2_floor};
 
 /// What all rays of a file share.
 #[derive(Clone, Debug)]
@@ -95,12 +95,6 @@ struct Start {
     enter: f64,
     exit: f64,
     tau: f64,
-}
-
-/// floor(log2(x)) of a normal, positive f64 (every positive f32 is one).
-#[inline(always)]
-fn log2_floor(x: f64) -> i32 {
-    (x.to_bits() >> 52) as i32 - 1023
 }
 
 /// The larger; the second if either is NaN.

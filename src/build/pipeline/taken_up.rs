@@ -19,13 +19,16 @@ impl Build<'_> {
     /// Goes on with the pages that a killed build wrote in the state of that checksum: how many chunks they make.
     pub(super) fn take_up_pages(&mut self, work: &WorkFolder, state: u64, chunks: &[Chunk]) -> Result<usize> {
         self.tuning.check_pages(PageLog::pages(work, state))?;
-        if let Some((log, done, entries)) = PageLog::reopen(work, state) {
+        let left = PageLog::reopen(work, state);
+        let is_damaged = left.is_none() && work.bytes("progress") > 0;
+        if let Some((log, done, entries)) = left {
             let records = entries.iter().map(|entry| entry.record).collect();
             let is_sound = self.entries_follow(&entries) && self.are_of(&entries, done, chunks) && {
                 let (flags, materials) = (self.flags(), self.mesh.materials.len() as u32);
-                let triangles = self.mesh.triangles;
+                let (triangles, monitor) = (self.mesh.triangles, self.monitor);
                 self.writer.resume(records, log.mark(), &mut |i, stored| {
-                    is_page(i, stored, &entries[i], flags, materials, triangles)
+                    monitor.check()?;
+                    Ok(is_page(i, stored, &entries[i], flags, materials, triangles))
                 })?
             };
             if is_sound {
@@ -33,13 +36,20 @@ impl Build<'_> {
                 self.log = Some(log);
                 return Ok(done as usize);
             }
-            self.monitor.warn(format!(
-                "{}: the pages that were written are not whole, and are written anew",
-                work.path().join("pages").display()
-            ));
+            self.warn_of_pages(work);
+        }
+        if is_damaged {
+            self.warn_of_pages(work);
         }
         self.begin_pages(work, state)?;
         Ok(0)
+    }
+
+    fn warn_of_pages(&self, work: &WorkFolder) {
+        self.monitor.warn(format!(
+            "{}: the pages that were written are not whole, and are written anew",
+            work.path().join("pages").display()
+        ));
     }
 
     /// Begins to note pages, and the file that they go to.
@@ -68,7 +78,8 @@ impl Build<'_> {
                 && end.checked_next_multiple_of(alignment) == Some(r.offset)
                 && u64::from(r.stored_bytes) <= most
                 && (packed || r.stored_bytes == r.bytes)
-                && u64::from(r.bytes) <= self.tuning.alone_bytes()
+                // Both are held while the page is looked at.
+                && u64::from(r.bytes) + u64::from(r.stored_bytes) <= self.tuning.alone_bytes()
                 && (r.references > 0 && r.zero == 0 && entry.zero == 0)
                 && (1..=DEPTH_MAX).contains(&entry.depth)
                 && u64::from(entry.brick.first_reference) == references

@@ -200,6 +200,38 @@ fn pages_of_another_build_under_the_same_name_are_not_taken_for_its_own() {
 }
 
 #[test]
+fn pages_that_are_noted_wrongly_are_told_and_written_anew() {
+    let (mesh, folder) = (sheet(15), tempfile::tempdir().unwrap());
+    let options = BuildOptions { source: Some("sheet".into()), ..options(SplitMode::Sah, 40) };
+    let (_, _, bytes) = round_trip(&mesh, &options, &TINY);
+    for damaged in [false, true] {
+        assert!(killed_after(events(&TINY, &mesh, &options) - 3, &mesh, folder.path(), &options));
+        let work = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().path()).find(|path| path.is_dir());
+        let pages = work.unwrap().join("pages");
+        let mut entries = std::fs::read(&pages).unwrap();
+        entries[5] ^= u8::from(damaged);
+        std::fs::write(&pages, entries).unwrap();
+        let (stop, warned) = (AtomicBool::new(false), AtomicUsize::new(0));
+        let sink = |event: Event| {
+            let told = matches!(event, Event::Warning(text) if text.contains("pages that were written are not whole"));
+            warned.fetch_add(usize::from(told), Ordering::Relaxed);
+        };
+        let (again, output) = (BuildOptions { resume: true, ..options.clone() }, folder.path().join("a.oct"));
+        build_tuned(&mut mesh.clone(), &output, &again, &TINY, Monitor::new(&sink, &stop)).unwrap();
+        assert_eq!(warned.into_inner(), usize::from(damaged));
+        assert!(std::fs::read(&output).unwrap() == bytes);
+        std::fs::remove_file(output).unwrap();
+    }
+}
+
+#[test]
+fn the_index_of_a_large_mesh_is_taken_up_and_a_claim_of_one_is_not() {
+    let tuning = Tuning::within(64 << 20, 2);
+    let blocks = 3 * 300_000_000 / tuning.block_corners as u64;
+    assert!(tuning.holds_index(14 * blocks) && !tuning.holds_index(1 << 24) && !tuning.holds_index(u64::MAX));
+}
+
+#[test]
 fn few_extents_make_few_chunks_and_the_same_bytes() {
     let mesh = sheet(30);
     for split in [SplitMode::Sah, SplitMode::Strict] {
