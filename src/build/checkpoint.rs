@@ -1,9 +1,10 @@
 //! What a build notes on its way, so that it can go on after it was killed.
 //!
 //! The work folder holds a `state` file, written anew (and renamed) when a phase ends: what the source and the options
-//! are, and all that the next phases need beside the spools ([`super::scanned`] for the scan), with checksums of these; behind it stands
-//! its own. Pages are noted apart ([`super::page_log`]). What was noted is checked before it is used ([`super::sound`]). Nothing is synced: after a kill the system still has what was written. After a restart of the
-//! machine that does not hold, so the state names the boot it belongs to.
+//! are, and all that the next phases need beside the spools ([`super::scanned`] for the scan), with checksums of these; behind it
+//! stands its own. Pages are noted apart ([`super::page_log`]). What was noted is checked before it is used ([`super::sound`]).
+//! Nothing is synced: after a kill the system still has what was written. After a restart of the machine that does not hold, so
+//! the state names the boot it belongs to.
 
 use std::fs;
 use std::io::Write;

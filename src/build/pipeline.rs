@@ -1,7 +1,7 @@
 //! The builder as a whole: the phases in order, and what passes from one to the next.
 //!
-//! The phases themselves stand apart: [`early`] (split), [`sorting`] (count and distribute), [`pages`] (chunks), [`finish`] (stitch), and [`taken_up`] (what a
-//! killed build wrote of the file).
+//! The phases themselves stand apart: [`early`] (split), [`sorting`] (count and distribute), [`pages`] (chunks), [`finish`]
+//! (stitch), and [`taken_up`] (what a killed build wrote of the file).
 
 use std::path::Path;
 

@@ -98,7 +98,8 @@ impl OctWriter {
 
     /// Goes on after the pages of `records`, which an earlier writer has written and [`OctWriter::flush`]ed. False, and
     /// nothing is changed, if its file is not there, has another `mark`, is too short, or holds a page with another checksum or that
-    /// `is_sound`, given its number and its bytes as stored, does not take. All pages are read, one at a time; an error of `is_sound` ends that.
+    /// `is_sound`, given its number and its bytes as stored, does not take. All pages are read, one at a time; an error of
+    /// `is_sound` ends that.
     pub fn resume(
         &mut self,
         records: Vec<PageRecord>,
