@@ -122,14 +122,16 @@ const KEY_OF: &str = "octrace mesh cache";
 
 impl Source {
     fn of(mesh: &Path, read: &ReadOptions) -> Result<Source> {
-        let mut file = File::open(mesh).map_err(Error::io(mesh, "open"))?;
-        let metadata = file.metadata().map_err(Error::io(mesh, "open"))?;
+        // Asked before: opening a pipe would wait for its other end.
+        let metadata = fs::metadata(mesh).map_err(Error::io(mesh, "open"))?;
         if !metadata.is_file() {
             return Err(Error::Input {
                 file: mesh.to_owned(),
                 what: "is not an ordinary file; name a mesh file".into(),
             });
         }
+        let mut file = File::open(mesh).map_err(Error::io(mesh, "open"))?;
+        let metadata = file.metadata().map_err(Error::io(mesh, "open"))?;
         let (head, tail) = ends(&mut file, metadata.len()).map_err(Error::io(mesh, "read"))?;
         let mut hash = Xxh3::new();
         hash.update(&head);
@@ -283,6 +285,16 @@ mod tests {
 
     fn open(mesh: &Path, user: &Path) -> Result<Octree> {
         open_or_build_in(mesh, &ReadOptions::default(), 1 << 30, Some(user), Monitor::silent())
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn nobody_waits_for_the_other_end_of_a_pipe() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("a.obj");
+        nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        let error = open(&pipe, folder.path()).err().unwrap().to_string();
+        assert!(error.ends_with("a.obj: is not an ordinary file; name a mesh file"), "{error}");
     }
 
     #[test]

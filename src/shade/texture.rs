@@ -34,6 +34,10 @@ impl Texture {
     /// Reads a picture file.
     pub fn open(path: &Path, tonemap: ToneMap) -> Result<Texture> {
         let wrong = |what: String| Error::Input { file: path.to_owned(), what: format!("texture: {what}") };
+        // Opening a pipe would wait for its other end.
+        if !std::fs::metadata(path).map_err(Error::io(path, "open"))?.is_file() {
+            return Err(wrong("not an ordinary file; name a picture".into()));
+        }
         let reader = ImageReader::open(path).map_err(Error::io(path, "open"))?;
         let mut reader = reader.with_guessed_format().map_err(Error::io(path, "read"))?;
         let mut limits = image::Limits::default();
@@ -139,6 +143,16 @@ mod tests {
         assert_eq!(t.at(0.75, 0.75), DVec3::new(0.0, 1.0, 0.0));
         assert_eq!(t.at(0.25, 0.25), DVec3::new(0.0, 0.0, 1.0));
         assert_eq!(t.at(0.75, 0.25), DVec3::ONE);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn nobody_waits_for_the_other_end_of_a_pipe() {
+        let folder = tempfile::tempdir().unwrap();
+        let pipe = folder.path().join("a.png");
+        nix::unistd::mkfifo(&pipe, nix::sys::stat::Mode::S_IRWXU).unwrap();
+        let error = Texture::open(&pipe, ToneMap::None).err().unwrap().to_string();
+        assert!(error.ends_with("a.png: texture: not an ordinary file; name a picture"), "{error}");
     }
 
     #[test]
