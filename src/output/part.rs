@@ -1,11 +1,12 @@
 //! Shares of a picture as files, which travel from machine to machine: OpenEXR, f32, ZIP.
 //!
-//! The tiles of a share lie side by side, in rows of about as many as there are rows, in the order of the curve; the room of tiles
-//! that are cut at the picture's edge is zero. Pictures of data of the share are further channels (`sheet.rs`). The text attribute `octracePart`
+//! The tiles of a share lie side by side, in rows of about as many as there are rows, in the order of the curve; what a tile leaves of its
+//! cell, where it is cut at the picture's edge, is zero. Pictures of data of the share are further channels (`sheet.rs`). The text attribute `octracePart`
 //! holds a JSON object that says which tiles these are, of which share and picture, what data there is, and a checksum of it all.
 //!
-//! A part may have been written by anybody: what it says of itself is held to what its share must have before memory is taken for its pixels,
-//! and its checksum to them after.
+//! A part may have been written by anybody. No more than its beginning is read, of bounded length, until what it says of itself is what its share
+//! must have: side and number of its tiles first, then which these are, then size and channels of the pixels and the least length of the file. Memory
+//! is taken for its tiles and for its pixels only if there is as much; its checksum is held to the pixels after.
 
 use std::cell::Cell;
 use std::fs::File;
@@ -23,7 +24,7 @@ use xxhash_rust::xxh3::Xxh3;
 use super::sheet::Sheet;
 use super::write;
 use crate::error::{Error, Result};
-use crate::render::{AovKind, Identity, Portion, Share, Tiling, Values};
+use crate::render::{self, AovKind, Identity, Portion, Share, Tiling, Values};
 use crate::scene::ToneMap;
 
 /// The attribute that makes an EXR file a part.
@@ -34,6 +35,12 @@ const VERSION: u32 = 2;
 const MOST_HEAD: u64 = 8 << 20;
 /// ZIP packs no tighter than 1:1032; the rest is for tables.
 const TIGHTEST: u64 = 1100;
+
+/// What an attribute of any version says.
+#[derive(Deserialize)]
+struct Version {
+    part: u32,
+}
 
 /// What the attribute says.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -76,6 +83,16 @@ pub struct Part {
 }
 
 impl Said {
+    /// Reads it; fails for another version, whatever else that says.
+    fn parse(text: &str) -> Result<Said, String> {
+        let wrong = |e: serde_json::Error| format!("{ATTRIBUTE}: {e}");
+        let Version { part } = serde_json::from_str(text).map_err(wrong)?;
+        if part != VERSION {
+            return Err(format!("it is a part of version {part}, and this program reads version {VERSION}"));
+        }
+        serde_json::from_str(text).map_err(wrong)
+    }
+
     fn of(portion: &Portion, tiling: &Tiling) -> Said {
         let id = &portion.identity;
         let mut said = Said {
@@ -117,9 +134,6 @@ impl Said {
 
     /// The picture, the share, its tiles and its data, if they make sense together; else what does not.
     fn resolve(&self) -> Result<(Identity, Share, Tiling, Vec<AovKind>), String> {
-        if self.part != VERSION {
-            return Err(format!("it is a part of version {}, and this program reads version {VERSION}", self.part));
-        }
         let [width, height] = self.size;
         let [x0, y0, x1, y1] = self.crop;
         if x0 >= x1 || y0 >= y1 || x1 > width || y1 > height || width.max(height) > 65_536 {
@@ -138,9 +152,13 @@ impl Said {
             tonemap,
         };
         let share = Share::new(self.share, self.of).map_err(|e| e.to_string())?;
+        let others = || format!("its tiles are not those of share {share}");
+        if Tiling::outline(identity.size(), share) != (self.tile, self.tiles.len() as u64) {
+            return Err(others());
+        }
         let tiling = Tiling::new(identity.size(), share).map_err(|e| e.to_string())?;
-        if tiling.side != self.tile || tiling.numbers != self.tiles {
-            return Err(format!("its tiles are not those of share {share}"));
+        if tiling.numbers != self.tiles {
+            return Err(others());
         }
         let data: Option<Vec<AovKind>> = self.data.iter().map(|name| AovKind::named(name)).collect();
         let data = data.filter(|data| data.is_sorted_by(|a, b| a < b));
@@ -198,13 +216,22 @@ impl Part {
         Ok(begin(path)?.0)
     }
 
+    /// Bytes of memory that [`read`](Part::read) takes at most: what the file has room for, and what is made of it.
+    pub fn reading(&self) -> u64 {
+        let made = 12 + self.data.iter().map(|kind| kind.bytes()).sum::<u64>();
+        Sheet::of(&self.tiling).reading(&self.data) + made * self.tiling.pixels() as u64
+    }
+
     /// Reads its pixels, and those of its pictures of data.
+    ///
+    /// Fails if memory does not allow it, and for a part that is damaged or was written again since it was opened.
     pub fn read(&self) -> Result<Portion> {
         let wrong = |what: &str| damaged(&self.path, what);
         let (again, reader) = begin(&self.path)?;
         if again.said != self.said {
             return Err(wrong("it has been written again meanwhile"));
         }
+        render::room_for(self.reading(), || format!("{}, a part of a picture,", self.path.display()))?;
         let layers = exr::prelude::read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer();
         let image = layers.all_attributes().non_parallel().from_chunks(reader).map_err(|e| wrong(&e.to_string()))?;
         let (sheet, channels) = (Sheet::of(&self.tiling), &image.layer_data.channel_data.list);
@@ -242,7 +269,7 @@ fn begin(path: &Path) -> Result<(Part, Reader<BufReader<Limited>>)> {
     let Some(AttributeValue::Text(text)) = text else {
         return Err(wrong("it is a picture, but no part: it was not made with --shard"));
     };
-    let said: Said = serde_json::from_str(&text.to_string()).map_err(|e| wrong(&format!("{ATTRIBUTE}: {e}")))?;
+    let said = Said::parse(&text.to_string()).map_err(|what| wrong(&what))?;
     let (identity, share, tiling, data) = said.resolve().map_err(|what| wrong(&what))?;
     let sheet = Sheet::of(&tiling);
     if !sheet.fits(header, &data) {
@@ -279,6 +306,10 @@ impl Seek for Limited {
 
 #[cfg(test)]
 mod tests {
+    use exr::meta::attribute::{ChannelDescription, SampleType};
+    use exr::meta::header::Header;
+    use exr::prelude::FlatSamples;
+
     use super::*;
     use crate::render::{Aov, Film};
 
@@ -315,7 +346,7 @@ mod tests {
     #[test]
     fn parts_read_back_bit_for_bit() {
         let folder = tempfile::tempdir().unwrap();
-        for (size, of) in [([64, 48], 5), ([1, 1], 1), ([100, 37], 3)] {
+        for (size, of) in [([64, 48], 5), ([1, 1], 1), ([100, 37], 3), ([1, 1500], 2), ([2100, 9], 1)] {
             for index in 0..of {
                 let plain = portion(size, index, of);
                 let path = folder.path().join("part.exr");
@@ -348,6 +379,57 @@ mod tests {
         }
     }
 
+    /// A part's bytes with other words in what it says.
+    fn said_as(good: &[u8], words: &[&str], others: &[&str]) -> Vec<u8> {
+        let mut bytes = good.to_owned();
+        for (word, other) in words.iter().zip(others) {
+            let at = good.windows(word.len()).position(|w| w == word.as_bytes()).unwrap();
+            bytes[at..at + other.len()].copy_from_slice(other.as_bytes());
+        }
+        bytes
+    }
+
+    #[test]
+    fn what_memory_cannot_hold_is_refused_before_it_is_taken() {
+        // The largest picture, with all data: a beginning that holds, and a hole for a file.
+        let kinds = AovKind::ALL.map(|kind| (kind, kind.nothing(0)));
+        let identity = Identity {
+            version: "0".into(),
+            scene: 0,
+            whole: [65_536; 2],
+            crop: [0, 0, 65_536, 65_536],
+            samples: 1,
+            depth: 1,
+            tonemap: ToneMap::None,
+        };
+        let share = Share::new(0, 1).unwrap();
+        let claim = Portion { identity, share, pixels: Vec::new(), data: kinds.into() };
+        let tiling = Tiling::new([65_536; 2], share).unwrap();
+        let sheet = Sheet::of(&tiling);
+        let text = serde_json::to_string(&Said::of(&claim, &tiling)).unwrap();
+        let small = Tiling::new([1, 1], share).unwrap();
+        let channels = Sheet::of(&small).channels(&claim).list.into_iter().map(|channel| {
+            let kind =
+                if matches!(channel.sample_data, FlatSamples::U32(_)) { SampleType::U32 } else { SampleType::F32 };
+            ChannelDescription::named(channel.name, kind)
+        });
+        let mut header = Header::new("".into(), (sheet.size[0], sheet.size[1]), channels.collect());
+        header.own_attributes.other.insert(Text::from(ATTRIBUTE), AttributeValue::Text(Text::from(text.as_str())));
+        let mut bytes = Cursor::new(Vec::new());
+        // It has no pixels, of course.
+        exr::block::write(&mut bytes, [header].into_iter().collect(), false, |_, _| Ok(())).unwrap_err();
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("part.exr");
+        std::fs::write(&path, bytes.into_inner()).unwrap();
+        assert!(Part::open(&path).unwrap_err().to_string().contains("cut short"));
+        File::options().write(true).open(&path).unwrap().set_len(1 << 30).unwrap();
+        let part = Part::open(&path).unwrap();
+        // 16 channels of 4 GiPixels, as they lie in the file and as they are asked for.
+        assert!(part.reading() > 512 << 30, "{}", part.reading());
+        let error = part.read().unwrap_err().to_string();
+        assert!(error.contains("part.exr") && error.contains("GiB of memory, more than there is"), "{error}");
+    }
+
     #[test]
     fn hostile_parts_are_refused() {
         let folder = tempfile::tempdir().unwrap();
@@ -378,13 +460,15 @@ mod tests {
         for length in [0, 3, 50, good.len() / 2, good.len() - 1] {
             assert!(read(&good[..length]).is_err(), "{length}");
         }
-        let error = |what: &str, with: &str| {
-            let at = good.windows(what.len()).position(|w| w == what.as_bytes()).unwrap();
-            let mut bytes = good.clone();
-            bytes[at..at + with.len()].copy_from_slice(with.as_bytes());
-            read(&bytes).unwrap_err().to_string()
-        };
+        let error = |what: &str, with: &str| read(&said_as(&good, &[what], &[with])).unwrap_err().to_string();
         assert!(error("\"part\":2", "\"part\":3").contains("version 3"));
+        // One of before there were pictures of data, and one with what is not known yet.
+        for version in [1, 3] {
+            let other = said_as(&good, &["\"part\":2", "\"data\":"], &[&format!("\"part\":{version}"), "\"DATA\":"]);
+            let told = read(&other).unwrap_err().to_string();
+            assert!(told.contains(&format!("version {version}, and this program reads version 2")), "{told}");
+        }
+        assert!(error("\"data\":", "\"DATA\":").contains("DATA"));
         assert!(error("\"share\":1", "\"share\":2").contains("tiles are not those of share 2/4"));
         assert!(error("\"size\":[67,49]", "\"size\":[67,4] ").contains("no picture"));
         assert!(error("\"samples\":4", "\"samples\":9").contains("checksum"));

@@ -101,8 +101,8 @@ impl AovKind {
         !matches!(self, AovKind::Cost | AovKind::Pages | AovKind::Reads)
     }
 
-    /// Bytes of a pixel.
-    fn bytes(self) -> u64 {
+    /// Bytes of a pixel's value.
+    pub fn bytes(self) -> u64 {
         if matches!(self, AovKind::Normal | AovKind::Position) { 12 } else { 4 }
     }
 
@@ -154,8 +154,10 @@ pub fn share_aovs(
     let job = Job::new(world, settings)?;
     let tiling = Tiling::new([job.width, job.height], share)?;
     let (count, bytes) = (tiling.pixels(), kinds.iter().map(|kind| kind.bytes()).sum::<u64>());
-    // Written, they take as much again, and about as much as a file.
-    film::room_for(3 * bytes * count as u64, || format!("pictures of data of a share of {count} pixels"))?;
+    // Written, they take as much as the part has room for, and at most as much again as a file.
+    film::room_for(bytes * (count + 2 * tiling.room()) as u64, || {
+        format!("pictures of data of a share of {count} pixels")
+    })?;
     let places: Vec<[u32; 4]> = tiling.places().collect();
     let values = fill(&job, &places, kinds, "tiles", monitor)?;
     Ok(kinds.iter().copied().zip(values).collect())

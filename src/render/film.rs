@@ -62,8 +62,8 @@ impl Film {
     }
 }
 
-/// Whether so many bytes of memory are free, where the system tells; an error about `what` if not.
-pub(super) fn room_for(bytes: u64, what: impl FnOnce() -> String) -> Result<()> {
+/// Sees whether so many bytes of memory are free, where the system tells; an error about `what` if not.
+pub fn room_for(bytes: u64, what: impl FnOnce() -> String) -> Result<()> {
     match free_memory() {
         Some(free) if bytes > free => Err(too_large(bytes, what)),
         _ => Ok(()),

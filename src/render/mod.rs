@@ -15,7 +15,7 @@ mod tiles;
 
 pub use aov::{Aov, AovKind, Values, aovs, share_aovs};
 pub use camera::Eye;
-pub use film::Film;
+pub use film::{Film, room_for};
 pub use plan::Plan;
 pub use share::{Identity, Portion, Share, Tiling, render_share};
 pub use tiles::{Picture, Settings, Statistics, Tile, region, render, render_shown};

@@ -23,6 +23,8 @@ const MOST: u32 = 65_536;
 const SIDES: [u32; 6] = [256, 128, 64, 32, 16, 8];
 /// Tiles that a share should have: many, so that chance evens out what they cost.
 const TILES: u64 = 64;
+/// Bytes that putting a picture's tiles in order takes for each: its place, what it is sorted by, and the place again.
+const ORDER: u64 = 32;
 
 /// One of several shares of a picture.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -72,23 +74,37 @@ pub struct Tiling {
     size: [u32; 2],
 }
 
+/// Side of the tiles of a picture that is made by so many shares, and how many there are.
+fn sides([width, height]: [u32; 2], of: u32) -> (u32, u64) {
+    let count = |side: u32| u64::from(width.div_ceil(side)) * u64::from(height.div_ceil(side));
+    let least = SIDES[SIDES.len() - 1];
+    let side = SIDES.into_iter().find(|side| count(*side) >= TILES * u64::from(of)).unwrap_or(least);
+    (side, count(side))
+}
+
 impl Tiling {
-    /// The tiles of a share of a picture of `width` x `height` pixels; fails if there are fewer tiles than shares.
-    pub fn new([width, height]: [u32; 2], share: Share) -> Result<Tiling> {
-        let count = |side: u32| u64::from(width.div_ceil(side)) * u64::from(height.div_ceil(side));
-        let least = SIDES[SIDES.len() - 1];
-        let side = SIDES.into_iter().find(|side| count(*side) >= TILES * u64::from(share.of)).unwrap_or(least);
-        if count(side) < u64::from(share.of) {
-            let (tiles, of) = (count(side), share.of);
+    /// Side and number of the tiles of a share of a picture of `size` pixels, without taking memory for them.
+    pub fn outline(size: [u32; 2], share: Share) -> (u32, u64) {
+        let (side, tiles) = sides(size, share.of);
+        (side, tiles.saturating_sub(u64::from(share.index)).div_ceil(u64::from(share.of)))
+    }
+
+    /// The tiles of a share of a picture of `width` x `height` pixels; fails if there are fewer tiles than shares, or if memory does not
+    /// allow it.
+    pub fn new(size: [u32; 2], share: Share) -> Result<Tiling> {
+        let ([width, height], of) = (size, share.of);
+        let (side, tiles) = sides(size, of);
+        if tiles < u64::from(of) {
             let what = format!(
                 "a picture of {width} x {height} pixels has {tiles} tiles, too few for {of} shares; take at most {tiles}"
             );
             return Err(Error::Option(what));
         }
+        film::room_for(ORDER * tiles, || format!("a picture of {tiles} tiles"))?;
         let order = hilbert::order(width.div_ceil(side), height.div_ceil(side));
         let own = (0..).zip(order).skip(share.index as usize).step_by(share.of as usize);
         let (numbers, cells) = own.unzip();
-        Ok(Tiling { side, numbers, cells, size: [width, height] })
+        Ok(Tiling { side, numbers, cells, size })
     }
 
     /// The pixels of each tile, as `[x0, y0, x1, y1]`.
@@ -102,6 +118,26 @@ impl Tiling {
     /// Pixels of all tiles.
     pub fn pixels(&self) -> usize {
         self.places().map(area).sum()
+    }
+
+    /// Width and height in pixels of the cell that each tile takes in a part: those of its widest and of its highest tile.
+    ///
+    /// A tile is cut where a picture is narrower than its side, or ends within it; so is the cell if all tiles of the share are.
+    pub fn cell(&self) -> [u32; 2] {
+        let sizes = self.places().map(|[x0, y0, x1, y1]| [x1 - x0, y1 - y0]);
+        sizes.fold([0; 2], |most, size| [most[0].max(size[0]), most[1].max(size[1])])
+    }
+
+    /// Columns and rows of cells in a part: about as many of either.
+    pub fn grid(&self) -> [usize; 2] {
+        let columns = self.cells.len().isqrt().max(1);
+        [columns, self.cells.len().div_ceil(columns)]
+    }
+
+    /// Pixels that a part has room for, in each channel; cells that a tile does not fill count in full.
+    pub fn room(&self) -> usize {
+        let ([width, height], [columns, rows]) = (self.cell(), self.grid());
+        columns * width as usize * rows * height as usize
     }
 
     /// Writes what the pixels of the tiles have, tile after tile, to where they stand in the picture; false, and nothing written, if either
@@ -233,8 +269,8 @@ pub fn render_share(
     let job = Job::new(world, settings)?;
     let tiling = Tiling::new([job.width, job.height], share)?;
     let count = tiling.pixels();
-    // Written, it takes as much again, and about as much as a file.
-    film::room_for(36 * count as u64, || format!("a share of {count} pixels"))?;
+    // Written, it takes as much as the part has room for, and at most as much again as a file.
+    film::room_for(12 * (count + 2 * tiling.room()) as u64, || format!("a share of {count} pixels"))?;
     let starts: Vec<usize> = tiling
         .places()
         .scan(0, |next, place| {
@@ -282,6 +318,34 @@ mod tests {
             }
             assert!(seen.iter().all(|&n| n == 1) && most[1] - most[0] <= 1, "{size:?} of {of}: {most:?}");
         }
+    }
+
+    #[test]
+    fn a_part_has_little_more_room_than_its_picture_has_pixels() {
+        for (size, of) in [
+            ([1, 65_536], 1),
+            ([65_536, 1], 1),
+            ([1, 65_536], 8),
+            ([3, 40_000], 5),
+            ([257, 20_000], 2),
+            ([257, 257], 1),
+            ([7, 7], 1),
+            ([1920, 1080], 8),
+        ] {
+            let tilings: Vec<Tiling> =
+                (0..of).map(|i| Tiling::new(size, Share::new(i, of).unwrap()).unwrap()).collect();
+            let room: usize = tilings.iter().map(Tiling::room).sum();
+            let pixels = (size[0] * size[1]) as usize;
+            // Up to twice as much on either axis, and the last row of cells.
+            assert!(room >= pixels && room <= 5 * pixels, "{size:?} of {of}: {room} for {pixels}");
+            for (i, tiling) in (0..).zip(&tilings) {
+                let outline = Tiling::outline(size, Share::new(i, of).unwrap());
+                assert_eq!(outline, (tiling.side, tiling.numbers.len() as u64), "{size:?}, {i} of {of}");
+                assert!(tiling.room() >= tiling.pixels());
+            }
+        }
+        let one = Tiling::new([1, 65_536], Share::new(0, 1).unwrap()).unwrap();
+        assert_eq!((one.cell(), one.room()), ([1, 256], 65_536));
     }
 
     #[test]

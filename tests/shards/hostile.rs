@@ -34,6 +34,9 @@ fn are_refused_by_name_and_no_picture_is_written() {
     assert!(with(&said("\"share\":1", "\"share\":7")).contains("share 7 of 3"));
     assert!(with(&said("\"share\":1", "\"share\":0")).contains("tiles"));
     assert!(with(&said("\"part\":2", "\"part\":9")).contains("version 9"));
+    // Another version may say other things.
+    let other = with(&said("\"part\":2,\"octrace\"", "\"part\":1,\"OCTRACE\""));
+    assert!(other.contains("version 1, and this program reads version 2"), "{other}");
     assert!(with(&said("[150,97]", "[0150,7]")).contains("make this share again"));
     assert!(with(&said("[150,97]", "[1e9,97]")).contains("make this share again"));
     // A picture, and something else altogether.

@@ -85,6 +85,26 @@ fn what_is_missing_doubled_or_foreign_is_named() {
     assemble(&lab, &parts, "out.png");
 }
 
+#[cfg(target_os = "linux")]
+#[test]
+fn a_share_of_a_narrow_picture_stays_within_its_memory() {
+    let lab = lab();
+    let data = ["depth", "normal", "position", "face", "material", "shadow"];
+    let wishes: Vec<&str> = data.iter().flat_map(|kind| ["--aov", kind]).collect();
+    for (size, of, wishes) in [("1x65536", "0/1", &[][..]), ("1x65536", "0/1", &wishes), ("40000x3", "1/2", &wishes)] {
+        let line = ["ball.oct", "--size", size, "--shard", of, "--memory", "64M", "-o", "p.exr", "--stats", "s.json"];
+        lab.done("octrender", &[&line[..], wishes].concat());
+        let peak = lab.json("s.json")["peak_rss_bytes"].as_u64().unwrap();
+        println!("{size}, {} of data: {} KiB", wishes.len() / 2, peak >> 10);
+        assert!(peak <= 64 << 20, "{size}, {} of data: {peak} bytes", wishes.len() / 2);
+    }
+    // Assembled they are the same bytes.
+    lab.done("octrender", &["ball.oct", "--size", "40000x3", "--shard", "0/2", "-o", "q.exr", "-q"]);
+    lab.done("octrender", &["ball.oct", "--size", "40000x3", "-o", "one.png", "-q"]);
+    lab.done("octrender", &["--assemble", "p.exr", "q.exr", "-o", "many.png", "-q"]);
+    assert!(lab.read("one.png") == lab.read("many.png"));
+}
+
 #[test]
 fn schedulers_say_which_share_it_is() {
     let lab = lab();

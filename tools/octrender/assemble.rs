@@ -4,9 +4,10 @@ use std::path::{Path, PathBuf};
 
 use indicatif::HumanCount;
 use octrace::output::{self, Format, Part};
-use octrace::render::{Aov, AovKind, Film, Identity};
+use octrace::render::{self, Aov, AovKind, Film, Identity};
 use octrace::{Error, Result};
 
+use crate::WRITING;
 use crate::aovs::{self, AovFile, Wish};
 use crate::cli::{self, Session};
 use crate::place::Place;
@@ -34,6 +35,7 @@ pub fn assemble(paths: &[PathBuf], output: Option<&Path>, data: &[Wish], session
     // As many as there are paths, of which there is one.
     let identity = whole(&parts[0], &parts, &files)?;
     let (size @ [width, height], tonemap) = (identity.size(), identity.tonemap);
+    render::room_for(memory(size, &parts, &files), || format!("putting together {width} x {height} pixels"))?;
     let mut film = Film::new(width, height)?;
     let mut aovs = files.iter().map(|file| Aov::new(file.kind, size)).collect::<Result<Vec<_>>>()?;
     monitor.phase("assemble");
@@ -52,6 +54,14 @@ pub fn assemble(paths: &[PathBuf], output: Option<&Path>, data: &[Wish], session
     files.iter().zip(aovs).try_for_each(|(file, aov)| output::save_aov(aov, &file.path))?;
     session.say(format!("{place}: {width} x {height} pixels from {} parts", HumanCount(parts.len() as u64)));
     Ok(())
+}
+
+/// Bytes that assembling takes: the picture and all data, and beside them one part after the other, or one of them as it is written.
+fn memory([width, height]: [u32; 2], parts: &[Part], files: &[AovFile]) -> u64 {
+    let pixels = u64::from(width) * u64::from(height);
+    let held = 12 + files.iter().map(|file| file.kind.bytes()).sum::<u64>();
+    let largest = parts.iter().map(Part::reading).max().unwrap_or(0);
+    held * pixels + largest.max(WRITING * pixels)
 }
 
 /// What picture these parts are of. Fails unless they are all of its parts, each once, and have the data for these files; says which are missing,

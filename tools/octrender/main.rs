@@ -112,6 +112,9 @@ struct Farm {
     assemble: Vec<PathBuf>,
 }
 
+/// Bytes that writing a pixel takes at most: a copy in the file's format, and the file.
+const WRITING: u64 = 24;
+
 /// What makes no sense where nothing is drawn.
 const ALONE: [&str; 10] = ["input", "lenient", "size", "samples", "depth", "crop", "lod", "shard", "memory", "stats"];
 
@@ -220,11 +223,15 @@ impl Goal {
         }
     }
 
-    /// Bytes that writing takes beside what a plan provides for: a part is written at once, with all data of its share.
+    /// Bytes that writing takes beside what a plan provides for, which is that each pixel of one picture is written: a part is written at once, with all
+    /// data of its share, and has room for more than its pixels.
     fn written_bytes(&self, size: [u32; 2]) -> Result<u64> {
         match self {
             Goal::Whole { .. } => Ok(0),
-            Goal::Share { share, data, .. } => Ok(24 * (data.len() * Tiling::new(size, *share)?.pixels()) as u64),
+            Goal::Share { share, data, .. } => {
+                let tiling = Tiling::new(size, *share)?;
+                Ok(WRITING * ((1 + data.len()) * tiling.room() - tiling.pixels()) as u64)
+            }
         }
     }
 }
@@ -376,6 +383,26 @@ fn broken_off(
 #[cfg(test)]
 mod tests {
     use clap::CommandFactory;
+    use octrace::render::{AovKind, Share, Tiling};
+
+    use super::Goal;
+
+    #[test]
+    fn what_a_part_has_room_for_is_provided() {
+        let share = Share::new(0, 1).unwrap();
+        let written = |size, data: &[AovKind]| {
+            Goal::Share { share, part: "a.exr".into(), data: data.into() }.written_bytes(size).unwrap()
+        };
+        // Just its pixels.
+        assert_eq!(written([512, 512], &[]), 0);
+        assert_eq!(written([1, 65_536], &[]), 0);
+        assert_eq!(written([1, 65_536], &[AovKind::Depth, AovKind::Normal]), 2 * 24 * 65_536);
+        // Every other tile is a single column of pixels.
+        let (narrow, pixels) = ([257, 65_536], 257 * 65_536);
+        let room = Tiling::new(narrow, share).unwrap().room() as u64;
+        assert!(room > 3 * pixels / 2);
+        assert_eq!(written(narrow, &[AovKind::Face]), 24 * (2 * room - pixels));
+    }
 
     #[test]
     fn the_arguments_are_consistent() {
